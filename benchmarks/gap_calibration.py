@@ -98,9 +98,9 @@ def _probabilities(
 ) -> dict[tuple[str, ...], float]:
     effects = [tuple(e) or ("none",) for e in case["effects"]]
     counts = np.array([0 if e == ("none",) else len(e) for e in effects])
-    left, sizes, strains = (np.array(case[name]) for name in ("left", "sizes", "strains"))
+    rmse, sizes, strains = (np.array(case[name]) for name in ("left", "sizes", "strains"))
     weights = log_weights(
-        left, counts, sizes, strains, case["tolerances"], case["floor"], calibration
+        rmse, counts, sizes, strains, case["tolerances"], case["floor"], calibration
     )
     shares = np.exp(weights - weights.max())
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))

@@ -279,8 +279,8 @@ def drawn(
     kinds = in_turn(rng, list(KINDS))
     lacking = _imperfect if imperfect else None
     return [
-        draw_case(KINDS[next(kinds)], own, seed, index, known, lacking)
-        for index, own in enumerate(hidden, start=1)
+        draw_case(KINDS[next(kinds)], cause, seed, index, known, lacking)
+        for index, cause in enumerate(hidden, start=1)
     ]
 
 

@@ -251,8 +251,8 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     labels = channels.labels(Kind.POSITION)
     parted = trial + np.cumsum(leap)
     of_positions = [channel for channel in channels.table if channel.kind is Kind.POSITION]
-    for channel, own in zip(of_positions, position.T, strict=True):
-        for finding in leaps_and_returns(channel, own, parted, begin + 1):
+    for channel, joint_position in zip(of_positions, position.T, strict=True):
+        for finding in leaps_and_returns(channel, joint_position, parted, begin + 1):
             if finding.refuses:
                 raise RecordingError(f"{path}: {finding.text}")
             notes.append(f"{finding.text}.")

@@ -226,20 +226,23 @@ def study_result(name: str, numbers: Numbers, figures: Figures) -> StudyResult:
     )
     tables = tuple(
         SmallTable(
-            filled(table["caption"], own),
-            tuple(filled(column, own) for column in table["head"]),
-            tuple(tuple(filled(cell, own) for cell in row) for row in filled(table["rows"], own)),
+            filled(table["caption"], cell_numbers),
+            tuple(filled(column, cell_numbers) for column in table["head"]),
+            tuple(
+                tuple(filled(cell, cell_numbers) for cell in row)
+                for row in filled(table["rows"], cell_numbers)
+            ),
         )
-        for table, own in _each(text.get("tables", ()), numbers)
+        for table, cell_numbers in _each(text.get("tables", ()), numbers)
     )
     comparisons = tuple(
         PaperComparison(
-            **{key: filled(entry[key], own) for key in ("what", "ours", "theirs", "why")},
-            unit=filled(entry.get("unit", ""), own),
-            agreement=_agreement(entry, own),
+            **{key: filled(entry[key], cell_numbers) for key in ("what", "ours", "theirs", "why")},
+            unit=filled(entry.get("unit", ""), cell_numbers),
+            agreement=_agreement(entry, cell_numbers),
             source=entry.get("source", PAPER),
         )
-        for entry, own in _each(text["comparisons"], numbers)
+        for entry, cell_numbers in _each(text["comparisons"], numbers)
     )
     notes: list[str] = []
     for template in text.get("notes", ()):

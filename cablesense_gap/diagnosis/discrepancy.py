@@ -317,8 +317,8 @@ def flexible_model(
         held_out,
         share(held_out),
         {
-            group: share(Discrepancy(own, residual, fold).held_out)
-            for group, own in columns.items()
+            group: share(Discrepancy(group_columns, residual, fold).held_out)
+            for group, group_columns in columns.items()
         },
         max(strength, key=lambda name: strength[name]),
     )

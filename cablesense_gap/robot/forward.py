@@ -239,7 +239,7 @@ def _windows(
         ends.append(np.tile([first, first + len(path) - 1], (len(trial_begins), 1)))
         numbers.append(np.full(len(trial_begins), number))
         first += len(path)
-    count = sum(len(own) for own in begins)
+    count = sum(len(rows) for rows in begins)
     stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
     begin, end, trial = (
         np.concatenate(each)[:: max(stride, 1)] for each in (begins, ends, numbers)

@@ -99,18 +99,18 @@ def write_joint_states(path, table, topic="/joint_states", joints=None):
     `joints` are the names in the messages by those in the table. An effort that is no number in
     all joints is left out of its message.
     """
-    own = [name.partition(".")[2] for name in table if name.startswith("position.")]
-    joints = joints or {name: name for name in own}
+    joint_names = [name.partition(".")[2] for name in table if name.startswith("position.")]
+    joints = joints or {name: name for name in joint_names}
     with Bag(path) as bag:
         for k, row in enumerate(table.to_dict("records")):
             log_ns = START_NS * 100 + k * 10_000_000
             stamp_ns = START_NS + round(1e9 * row["time_s"])
             if "trial" in row:
                 bag.trial(log_ns, int(row["trial"]))
-            position = [row[f"position.{name}"] for name in own]
-            effort = [row.get(f"torque.{name}", np.nan) for name in own]
+            position = [row[f"position.{name}"] for name in joint_names]
+            effort = [row.get(f"torque.{name}", np.nan) for name in joint_names]
             effort = effort if np.isfinite(effort).any() else []
-            names = [joints[name] for name in own]
+            names = [joints[name] for name in joint_names]
             bag.joint_state(topic, log_ns, stamp_ns, names, position=position, effort=effort)
     return path
 

@@ -138,8 +138,8 @@ def hypothesis(*effects: str, left: float = 1.0) -> Hypothesis:
 
 def several(count):
     """As many effects as wanted, each with three places of its own signals."""
-    own = np.random.default_rng(3).normal(size=(count, 3, *SIGNALS.shape[1:]))
+    signals_of_effects = np.random.default_rng(3).normal(size=(count, 3, *SIGNALS.shape[1:]))
     library = {}
-    for name, signals in zip("defgh", own, strict=False):
+    for name, signals in zip("defgh", signals_of_effects, strict=False):
         library |= linear(name, "abc", signals)
     return library

@@ -49,8 +49,8 @@ class LawArm:
 
     def at(self, kind):
         """Where the parameters of a kind stand, `carried_friction` being those of all guides."""
-        found = [part for name, part in self.parameters.slices.items() if name.startswith(kind)]
-        return slice(found[0].start, found[-1].stop)
+        parts = [part for name, part in self.parameters.slices.items() if name.startswith(kind)]
+        return slice(parts[0].start, parts[-1].stop)
 
     def within_the_statics(self, values):
         """Parameters, or their deviations, with what the equilibrium does not have at zero.

@@ -97,8 +97,8 @@ def work(seed: int = 0, trials: int = 12) -> Work:
     load = []
     for t in range(trials):
         size = rng.uniform(0.4, 1.0)
-        at = rng.uniform(-0.02, 0.02)
-        wound.append(0.05 * size * turn if t % 3 == 0 else np.full(ROWS, at))
+        offset = rng.uniform(-0.02, 0.02)
+        wound.append(0.05 * size * turn if t % 3 == 0 else np.full(ROWS, offset))
         push = (0.0 * turn, 25.0 * size * (1.0 + turn), 50.0 * size * hold)[t % 3]
         load.append(push)
     return Work(
@@ -175,8 +175,8 @@ def recorded(truth: Assignment, seed: int = 0, done: Work | None = None) -> tupl
     simulator = Pulley(work(seed) if done is None else done)
     rng = np.random.default_rng([seed, 1])
     tolerances = parameters_of(simulator.tolerances)
-    left = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
-    ideal = simulator.predict([{**left, **truth}])[0]
+    scatter = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
+    ideal = simulator.predict([{**scatter, **truth}])[0]
     return simulator, ideal + rng.normal(0.0, simulator.floor, ideal.shape)
 
 

@@ -28,7 +28,7 @@ def weights(name, rows, columns, kind=DOUBLE):
 
 def small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=None, arm=CDSM):
     """A tensions-only model of few operators; `nodes` replace those that write the same."""
-    own = [
+    usual_nodes = [
         helper.make_node("MatMul", ["tension_difference_n", "classes"], ["logits"]),
         helper.make_node("Softmax", ["logits"], ["contact_probability"], axis=-1),
         helper.make_node("MatMul", ["tension_difference_n", "turn"], ["direction"]),
@@ -40,7 +40,7 @@ def small_model(kind=DOUBLE, nodes=(), initializers=(), inputs=None, properties=
     ]
     replaced = {name for node in nodes for name in node.output}
     graph = helper.make_graph(
-        [*(node for node in own if not replaced & set(node.output)), *nodes],
+        [*(node for node in usual_nodes if not replaced & set(node.output)), *nodes],
         "small",
         inputs or [value("tension_difference_n", kind, ["batch", arm.cable_count])],
         [value(name, kind, ["batch", f"{name}s"][:rank]) for name, rank in RANKS.items()],

@@ -60,29 +60,29 @@ def torques(position, speed, acceleration, friction=(0.0, 0.0), armature=(0.0, 0
     # both links point along x at zero and turn about y, downwards
     g1 = -9.81 * (m1 * c1 + mass * l1) * np.cos(position[:, 0])
     g2 = -9.81 * first * np.cos(position.sum(1))
-    found = np.stack(
+    torque = np.stack(
         [
             m11 * a1 + m12 * a2 - h * (2.0 * v1 * v2 + v2**2) + g1 + g2,
             m12 * a1 + second * a2 + h * v1**2 + g2,
         ],
         axis=1,
     )
-    return found + np.array(friction) * np.sign(speed) + np.array(armature) * acceleration
+    return torque + np.array(friction) * np.sign(speed) + np.array(armature) * acceleration
 
 
 def motion(rng, seconds=4.0):
     """Times, positions, speeds and accelerations of a sum of sines."""
     time_s = np.arange(0.0, seconds, 1.0 / RATE_HZ)
-    found = np.zeros((3, len(time_s), 2))
+    course = np.zeros((3, len(time_s), 2))
     for joint in range(2):
         for hertz in (0.2, 0.5, 0.9):
             size = rng.uniform(0.1, 0.4) / hertz
             w = 2.0 * np.pi * hertz * rng.uniform(0.8, 1.2)
-            at = w * time_s + rng.uniform(0.0, 6.0)
-            found[:, :, joint] += (
-                0.3 * size * np.array([np.sin(at), w * np.cos(at), -w * w * np.sin(at)])
+            phase = w * time_s + rng.uniform(0.0, 6.0)
+            course[:, :, joint] += (
+                0.3 * size * np.array([np.sin(phase), w * np.cos(phase), -w * w * np.sin(phase)])
             )
-    return time_s, *found
+    return time_s, *course
 
 
 def recorded(path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, **planted):
@@ -106,11 +106,11 @@ def model_torques(position, speed, acceleration):
     """(T, 2) by MuJoCo, of the nominal model."""
     model = mujoco.MjModel.from_xml_string(XML)
     data = mujoco.MjData(model)
-    found = np.empty_like(position)
+    torque = np.empty_like(position)
     for k in range(len(position)):
         data.qpos[:] = position[k]
         data.qvel[:] = speed[k]
         data.qacc[:] = acceleration[k]
         mujoco.mj_inverse(model, data)
-        found[k] = data.qfrc_inverse
-    return found
+        torque[k] = data.qfrc_inverse
+    return torque

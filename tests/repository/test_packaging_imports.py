@@ -46,8 +46,8 @@ def imported(*folders: str) -> set[str]:
     """Name the top-level modules that the files under `folders` import."""
     files = [file for folder in folders for file in (CHECKOUT / folder).rglob("*.py")]
     names = set[str]().union(*map(imports_of, files))
-    own = ("cablesense_", "examples", "paper", "tests")
-    return {n for n in names - sys.stdlib_module_names if not n.startswith(own)}
+    of_the_project = ("cablesense_", "examples", "paper", "tests")
+    return {n for n in names - sys.stdlib_module_names if not n.startswith(of_the_project)}
 
 
 def declared(*extras: str) -> set[str]:
@@ -93,8 +93,8 @@ def ros_modules() -> set[str]:
 def test_every_import_is_declared(
     folders: list[str], extras: list[str], ros_modules: set[str]
 ) -> None:
-    own = {path.stem for folder in folders for path in (CHECKOUT / folder).rglob("*")}
-    for module in imported(*folders) - own - (ros_modules if "ros" in extras else set()):
+    names_here = {path.stem for folder in folders for path in (CHECKOUT / folder).rglob("*")}
+    for module in imported(*folders) - names_here - (ros_modules if "ros" in extras else set()):
         assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
 
 

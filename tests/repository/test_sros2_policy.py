@@ -28,12 +28,12 @@ OTHERS = {"record": "recorder", "sensor_check": "sensor_check", "operator": "ope
 
 def names(profile, kind, right):
     """The topics or services that a profile has a right to, in the contract's words."""
-    found = set()
+    topics_named = set()
     for group in profile.findall(kind):
         if group.get(right) == "ALLOW":
             nodes = "estimator|breather|commissioner"
-            found |= {in_contract(entry.text, nodes) for entry in group}
-    return found
+            topics_named |= {in_contract(entry.text, nodes) for entry in group}
+    return topics_named
 
 
 def in_contract(name, nodes):

@@ -88,14 +88,14 @@ def test_unloaded_poses_determine_what_moves_readings_and_say_so(calibrator):
 
 def test_deviations_are_as_large_as_errors(calibrator):
     """Over arms, the errors of determined parameters are those that the covariance states."""
-    at = calibrator.parameters.slices["pretension"]
+    part = calibrator.parameters.slices["pretension"]
     scores = []
     for seed in range(6):
         rng = np.random.default_rng([3, seed])
         arm = built([4, seed])
         calibration = calibrator.from_poses(unloaded(arm, poses(15, rng), rng))
         truth = arm.body.pretension_n - NOMINAL.body.pretension_n
-        scores.append(((truth - calibration.mean[at]) / calibration.std[at]) ** 2)
+        scores.append(((truth - calibration.mean[part]) / calibration.std[part]) ** 2)
     total = np.sum(scores)
     count = np.size(scores)
     assert chi2.ppf(1e-4, count) < total < chi2.ppf(1.0 - 1e-4, count)

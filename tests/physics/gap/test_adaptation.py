@@ -121,18 +121,18 @@ def test_the_estimator_of_a_built_arm_is_repaired(diagnosed_as, seed: int):
     """Beside the hidden gain, no cable, hole or mass is as the file says."""
     asked = diagnosed_as(GAIN)
     recording = as_built(seed, gain=0.3)
-    found = adapt(recording, WORKSHOP)
+    adaptation = adapt(recording, WORKSHOP)
     assert asked == [withheld_trials(recording, WORKSHOP)]
-    assert found.better
-    before = found.before.whole.errors
-    after = found.after.whole.errors
+    assert adaptation.better
+    before = adaptation.before.whole.errors
+    after = adaptation.after.whole.errors
     assert after.magnitude_mae_n < 0.5 * before.magnitude_mae_n
     assert after.contact_accuracy > 0.99
     assert after.magnitude_coverage95 > 0.9
     assert after.direction_coverage95 > 0.9
-    assert found.after.confirmed > 0.9
-    assert found.adapted.unexplained_n2 < 0.3**2
-    errors = found.diagnosis.verdict.estimator
+    assert adaptation.after.confirmed > 0.9
+    assert adaptation.adapted.unexplained_n2 < 0.3**2
+    errors = adaptation.diagnosis.verdict.estimator
     assert errors.use == "after"
     assert errors.after["force_mae_n"] == after.magnitude_mae_n
 
@@ -141,12 +141,12 @@ def test_what_the_law_does_not_explain_widens_intervals(diagnosed_as):
     """The law has one state of friction a guide; the simulator's guides give before they slip."""
     diagnosed_as(FRICTION)
     few = SHORT.rows(np.isin(SHORT.trial, [1, 2, 5, 6]))
-    found = adapt(recorded(having(LAB, FRICTION), few), LAB)
-    assert found.adapted.unexplained_n2 > 0.05**2
-    assert found.after.whole.errors.magnitude_coverage95 > 0.9
-    assert found.better
-    friction = arm_parameters(found.adapted.law.arm).slices["friction"]
-    assert_allclose(found.adapted.calibration.mean[friction], 0.15)
+    adaptation = adapt(recorded(having(LAB, FRICTION), few), LAB)
+    assert adaptation.adapted.unexplained_n2 > 0.05**2
+    assert adaptation.after.whole.errors.magnitude_coverage95 > 0.9
+    assert adaptation.better
+    friction = arm_parameters(adaptation.adapted.law.arm).slices["friction"]
+    assert_allclose(adaptation.adapted.calibration.mean[friction], 0.15)
 
 
 def test_what_the_file_lists_of_tolerances_counts_once(diagnosed_as):
@@ -175,15 +175,15 @@ def test_what_the_file_lists_of_tolerances_counts_once(diagnosed_as):
 
 def test_where_nothing_is_found_there_is_no_second_estimator(diagnosed_as):
     diagnosed_as()
-    found = adapt(healthy(), LAB)
-    assert (found.better, found.after, found.adapted) == (False, None, None)
-    assert found.diagnosis.verdict.estimator.use == "before"
-    assert found.before.whole.errors.magnitude_mae_n < 0.3
+    adaptation = adapt(healthy(), LAB)
+    assert (adaptation.better, adaptation.after, adaptation.adapted) == (False, None, None)
+    assert adaptation.diagnosis.verdict.estimator.use == "before"
+    assert adaptation.before.whole.errors.magnitude_mae_n < 0.3
 
 
 def test_a_second_estimator_that_is_no_better_is_not_used(diagnosed_as):
     diagnosed_as(GAIN)
-    found = adapt(healthy(), LAB)
-    assert not found.better
-    assert found.after is not None
-    assert found.diagnosis.verdict.estimator.use == "before"
+    adaptation = adapt(healthy(), LAB)
+    assert not adaptation.better
+    assert adaptation.after is not None
+    assert adaptation.diagnosis.verdict.estimator.use == "before"

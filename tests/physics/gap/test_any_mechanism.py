@@ -80,8 +80,8 @@ def test_an_unlisted_cause_is_unknown_and_no_listed_effect_removes_it() -> None:
     ranked = judged(simulator, readings + np.outer(1.5 * teeth, [1.0, 0.0, 0.0]) / NOISE)
     assert ranked[0].effects == ("unknown",)
     assert ranked[0].probability > 0.5
-    left = {b.effects: b.hypothesis.held_out_rmse for b in ranked if b.hypothesis}
-    assert min(left.values()) > 0.8 * left["none",]
+    rmse_of = {b.effects: b.hypothesis.held_out_rmse for b in ranked if b.hypothesis}
+    assert min(rmse_of.values()) > 0.8 * rmse_of["none",]
 
 
 def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
@@ -95,12 +95,12 @@ def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
 
 def test_the_pipeline_gives_a_verdict_on_a_machine_that_is_no_arm() -> None:
     truth = {WEIGHT_GAIN: -0.04}
-    found = diagnose_system(PulleySystem(work(), recorded(truth)[1]))
-    assert found.verdict.effects == ("sensor_gain",)
-    (number,) = found.verdict.parameters.values()
+    outcome = diagnose_system(PulleySystem(work(), recorded(truth)[1]))
+    assert outcome.verdict.effects == ("sensor_gain",)
+    (number,) = outcome.verdict.parameters.values()
     assert number.value == pytest.approx(-0.04, abs=WITHIN[WEIGHT_GAIN])
-    assert found.verdict.gap.removed_fraction > 0.9
-    assert found.verdict.gap.floor_n == 1.0
+    assert outcome.verdict.gap.removed_fraction > 0.9
+    assert outcome.verdict.gap.floor_n == 1.0
 
 
 def test_the_search_says_what_it_does_and_how_far_it_is() -> None:

@@ -97,27 +97,27 @@ def test_small_changes_are_those_of_the_search_for_rests():
     variants = [{**base, t: base.get(t, 0.0) + 1e-3 * s} for t, s in std.items()]
     base = {**dict.fromkeys(std, 0.0), **base}
     variants = [{**base, **variant} for variant in variants]
-    found = simulator.small_changes(base, variants)
+    changes_n = simulator.small_changes(base, variants)
     searched = predicted_changes(simulator, base, variants)
-    assert_allclose(found, searched, atol=0.01 * np.abs(searched).max())
+    assert_allclose(changes_n, searched, atol=0.01 * np.abs(searched).max())
 
 
 @pytest.fixture(scope="module")
 def known():
     """Of three arms: the true deviations, and the parameters after a recording of nothing else."""
-    found = []
+    posteriors = []
     for seed in range(3):
         theta = drawn(seed)
         recording = small_recording(peak_n=25.0)
         (ideal_n,) = ArmSimulator(BUILT, recording).predict([as_terms(theta)])
         read_n = read_tensions_n(ideal_n, BUILT.sensors, np.random.default_rng([seed, 1]))
         problem = problem_of(ArmSystem(BUILT, replace(recording, tensions_n=read_n)))
-        none = refine(problem, {}, [[]])
-        assert none.held_out_rmse < 1.1 * problem.floor
+        without_effects = refine(problem, {}, [[]])
+        assert without_effects.held_out_rmse < 1.1 * problem.floor
         assert problem.nuisance_mix.shape[1] < problem.nuisance_mix.shape[0]
-        posterior = nuisance_posterior(problem, none)
-        found.append((theta, fitted_parameters(BUILT, BUILT, posterior)))
-    return found
+        posterior = nuisance_posterior(problem, without_effects)
+        posteriors.append((theta, fitted_parameters(BUILT, BUILT, posterior)))
+    return posteriors
 
 
 def test_a_recording_says_of_parameters_what_it_can_and_how_sure_it_is(known):

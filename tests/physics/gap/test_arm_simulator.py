@@ -81,8 +81,8 @@ def test_variants_are_predicted_together_as_one_by_one():
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
 def test_crosstalk_gain_and_offset_act_in_this_order_whatever_the_order_of_the_terms(order):
     """The zero of a tolerance is not scaled; the amended arm replays the same."""
-    found = [(OFFSET_N, 3.0), (GAIN, 0.1), (SHARE, 0.2)]
-    values = dict(found[k] for k in order)
+    changes = [(OFFSET_N, 3.0), (GAIN, 0.1), (SHARE, 0.2)]
+    values = dict(changes[k] for k in order)
     ideal = simulator().predict([{}])[0]
     read = simulator().predict([values])[0]
     assert_allclose(read[:, 1], 1.1 * (ideal[:, 1] + 0.2 * ideal[:, 0]) + 3.0, atol=1e-6)
@@ -127,11 +127,11 @@ def pushed(force_n):
 def test_rows_without_an_equilibrium_of_a_variant_are_those_of_the_nominal_arm():
     change = Term("cable_stiffness", "arm", "change")
     arm = simulator(recording=pushed(300.0))
-    found = arm.predict([{change: 0.0}, {change: -0.8}])
+    predicted = arm.predict([{change: 0.0}, {change: -0.8}])
     nominal = arm.predict([{}])[0]
-    assert np.isfinite(found).all()
-    assert_allclose(found[0], nominal, atol=1e-6)
-    assert np.isclose(found[1], nominal, atol=1e-9).all(axis=-1).any()
+    assert np.isfinite(predicted).all()
+    assert_allclose(predicted[0], nominal, atol=1e-6)
+    assert np.isclose(predicted[1], nominal, atol=1e-9).all(axis=-1).any()
     assert np.isnan(simulator(recording=pushed(5e4)).predict([{}])).all()
 
 
@@ -185,10 +185,10 @@ def loose(start: float):
 def test_the_position_in_a_play_is_found_from_the_first_rows(start):
     recording = small_recording(peak_n=25.0)
     new = replace(recording, tensions_n=replayed(loose(start), recording))
-    found = settled(loose(0.0), new, 30)
-    assert found.effects[0].parameters["start"] == pytest.approx(start, abs=0.05)
-    assert found.effects[0].parameters["play_m"] == 2e-4
-    assert_allclose(replayed(found, recording), new.tensions_n, atol=0.1)
+    at_start = settled(loose(0.0), new, 30)
+    assert at_start.effects[0].parameters["start"] == pytest.approx(start, abs=0.05)
+    assert at_start.effects[0].parameters["play_m"] == 2e-4
+    assert_allclose(replayed(at_start, recording), new.tensions_n, atol=0.1)
     assert settled(LAB, new, 30) is LAB
 
 
@@ -212,18 +212,18 @@ def test_rows_in_which_a_segment_may_have_turned_to_either_side_do_not_count():
         load_n=np.outer(loads_n, [0.0, 0.0, -1.0]),
         command_rad=np.zeros((5, 8)),
     )
-    found = []
+    counted = []
     for side in (-0.03, 0.03):
         begun = np.tile([0.0, side], (5, 4))
         rest = solve_equilibrium(
             mechanism_of(LAB), 0.0 * begun, recording.inputs[2], start_rad=begun
         )
-        found.append(rest.tensions_n)
-    same = np.isclose(*found, atol=1e-3).all(axis=1)
+        counted.append(rest.tensions_n)
+    same = np.isclose(*counted, atol=1e-3).all(axis=1)
     assert_array_equal(same, loads_n < 100.0)
     away = same & np.append(same[1:], True)  # the load may turn it earlier than the nominal arm
-    assert_array_equal(counted_rows(LAB, recording, found[0]), away)
-    assert counted_rows(LAB, recording.rows(slice(0, 2)), found[0][:2]).all()
+    assert_array_equal(counted_rows(LAB, recording, counted[0]), away)
+    assert counted_rows(LAB, recording.rows(slice(0, 2)), counted[0][:2]).all()
 
 
 def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
@@ -340,8 +340,8 @@ def test_tolerances_of_a_very_stiff_arm_are_found(seed):
     noise_n = system.floor * rng.standard_normal(recording.tensions_n.shape)
     readings_n = system.predict([planted])[0] + noise_n
     problem = problem_of(ArmSystem(stiff, replace(recording, tensions_n=readings_n)))
-    found = refine(problem, {}, [[]])
-    off = problem.coefficients_of(found.nuisance) - problem.coefficients_of(planted)
+    fit = refine(problem, {}, [[]])
+    off = problem.coefficients_of(fit.nuisance) - problem.coefficients_of(planted)
     change = np.sqrt((problem.nuisance_columns[:, problem.used] ** 2).sum(axis=(1, 2)))
     shown = change > 10.0 * system.floor
     assert shown.sum() > 15

@@ -32,8 +32,8 @@ def made(truth: Assignment, seed: int = 0, course: Recording = PROTOCOL) -> Reco
     simulator = ArmSimulator(LAB, course)
     rng = np.random.default_rng(seed)
     tolerances = parameters_of(simulator.tolerances)
-    left = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
-    ideal = simulator.predict([{**left, **truth}])[0]
+    scatter = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
+    ideal = simulator.predict([{**scatter, **truth}])[0]
     return replace(course, tensions_n=read_tensions_n(ideal, LAB.sensors, rng))
 
 
@@ -91,10 +91,10 @@ def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zer
         deviations=dict(zip(values, 1.96 * 0.3 * np.abs(alone) * [0.3, 0.3], strict=True)),
         covariance=0.3**2 * np.outer(alone, alone),
     )
-    found = ArmSystem(LAB, PROTOCOL).numbers(known, values)
+    numbers = ArmSystem(LAB, PROTOCOL).numbers(known, values)
     length_m = mechanism_of(LAB).segment_length_m[0]
-    moment = found["payload.moment_kg_m"]
-    stated = found["payload.mass_kg"]
+    moment = numbers["payload.moment_kg_m"]
+    stated = numbers["payload.mass_kg"]
     assert moment.value == pytest.approx(0.2 * 0.5 * length_m)
     np.testing.assert_allclose(moment.ci95, moment.value, rtol=1e-6)
     low, high = stated.ci95
@@ -105,10 +105,10 @@ def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zer
 @pytest.mark.slow
 def test_the_amended_arm_reads_as_the_recorded_one():
     """Fitted tolerances are linear, and bend the arm: the difference is less than the noise."""
-    found = loaded()
-    replayed = replay_arm(found.amended, *found.recording.inputs)
-    left_n = found.recording.tensions_n - replayed
-    assert np.sqrt((left_n**2).mean()) < 1.5 * found.verdict.gap.floor_n
+    diagnosis = loaded()
+    replayed = replay_arm(diagnosis.amended, *diagnosis.recording.inputs)
+    left_n = diagnosis.recording.tensions_n - replayed
+    assert np.sqrt((left_n**2).mean()) < 1.5 * diagnosis.verdict.gap.floor_n
 
 
 @pytest.mark.slow
@@ -153,8 +153,8 @@ def test_an_offset_of_loads_at_three_places_is_recovered():
     offset = Term("contact_offset", "arm", "offset_m")
     verdict = diagnose(made({offset: 0.012}, course=placed), LAB).verdict
     assert verdict.effects == ("contact_offset",)
-    found = verdict.parameters["contact_offset.offset_m"]
-    assert found.value == pytest.approx(0.012, abs=0.0015)  # places scatter by 0.3 mm
+    offset_m = verdict.parameters["contact_offset.offset_m"]
+    assert offset_m.value == pytest.approx(0.012, abs=0.0015)  # places scatter by 0.3 mm
 
 
 def test_perfect_sensors_and_a_load_that_the_arm_cannot_bear_are_refused_in_a_line():
@@ -169,9 +169,9 @@ def test_perfect_sensors_and_a_load_that_the_arm_cannot_bear_are_refused_in_a_li
 
 @pytest.mark.slow
 def test_few_rows_that_the_nominal_arm_cannot_bear_are_left_out_and_reported():
-    found = loaded()
-    assert found.verdict.rows_used == len(PROTOCOL) - 2
-    assert any(text.startswith("rows 27 to 28: ") for text in found.findings)
+    diagnosis = loaded()
+    assert diagnosis.verdict.rows_used == len(PROTOCOL) - 2
+    assert any(text.startswith("rows 27 to 28: ") for text in diagnosis.findings)
 
 
 OFFSET = Term("contact_offset", "segment_4", "offset_m")

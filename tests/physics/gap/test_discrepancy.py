@@ -20,14 +20,14 @@ FOLD = np.repeat(np.arange(TRIALS), ROWS)
 def moved(seed, reach=1.0):
     """Conditions of two channels in trials of their own sines."""
     rng = np.random.default_rng(seed)
-    at = np.linspace(0.0, 1.0, ROWS)[:, None]
+    course = np.linspace(0.0, 1.0, ROWS)[:, None]
     position = []
     speed = []
     for _ in range(TRIALS):
         turns = rng.uniform(2.0, 12.0, 2)
         phase = rng.uniform(0.0, 6.0, 2)
-        position.append(reach * np.sin(turns * at + phase))
-        speed.append(reach * turns * np.cos(turns * at + phase))
+        position.append(reach * np.sin(turns * course + phase))
+        speed.append(reach * turns * np.cos(turns * course + phase))
     place = np.concatenate(position)
     return Conditions(place, np.concatenate(speed), 3.0 * np.cos(place))
 

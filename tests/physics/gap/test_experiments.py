@@ -49,18 +49,18 @@ def asked(*rivals: int) -> Experiment:
 def test_an_effect_is_confirmed_by_the_block_that_excites_it():
     """A joint's spring by its motion; a contact by loads on its segment; an offset at rest."""
     assert [asked(k).block for k in (2, 3, 5)] == [SWEEP.does, LOADED[0].does, REST.does]
-    found = asked(2)
-    assert found.text.startswith(f"To confirm it: {SWEEP.does} There joint elasticity must")
-    floors = found.separation_n / FLOOR_N
-    assert f"{floors:.0f} times the noise floor, most at cable" in found.text
+    experiment = asked(2)
+    assert experiment.text.startswith(f"To confirm it: {SWEEP.does} There joint elasticity must")
+    floors = experiment.separation_n / FLOOR_N
+    assert f"{floors:.0f} times the noise floor, most at cable" in experiment.text
 
 
 @pytest.mark.slow
 def test_a_block_that_confirms_either_distinguishes_them():
-    found = asked(2, 3)
-    assert found.block in (SWEEP.does, LOADED[0].does)
-    assert found.separation_n > 5.0 * FLOOR_N
-    assert found.text.startswith("To distinguish joint elasticity from contact offset: ")
+    experiment = asked(2, 3)
+    assert experiment.block in (SWEEP.does, LOADED[0].does)
+    assert experiment.separation_n > 5.0 * FLOOR_N
+    assert experiment.text.startswith("To distinguish joint elasticity from contact offset: ")
     # a gain is distinguished from an offset by loads alone, as constants are fitted to each
     assert asked(4, 5).block in {block.does for block in LOADED}
     assert asked(4, 5).text.endswith("most at cable 5.")
@@ -68,8 +68,8 @@ def test_a_block_that_confirms_either_distinguishes_them():
 
 @pytest.mark.slow
 def test_creep_shows_in_a_long_hold():
-    found = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
-    assert found.block == HOLD.does
+    experiment = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
+    assert experiment.block == HOLD.does
 
 
 def test_without_an_effect_or_a_simulation_there_is_no_experiment():

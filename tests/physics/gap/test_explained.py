@@ -108,12 +108,12 @@ ONES = np.ones_like(WHITE)
 
 def test_sizes_are_root_mean_squares():
     by_cable = np.array([0.5, 1.0, 2.0])
-    found = gap_size(by_cable * ONES, 0.1 * ONES, TRIALS_OF, floor_n=0.1)
-    assert found.before_n == pytest.approx(np.sqrt((by_cable**2).mean()))
-    assert found.by_cable_n == pytest.approx(tuple(by_cable))
-    assert (found.after_n, found.floor_n) == (pytest.approx(0.1), 0.1)
-    assert found.removed_fraction == pytest.approx(1.0)
-    assert found.ci95 == pytest.approx((1.0, 1.0))
+    gap = gap_size(by_cable * ONES, 0.1 * ONES, TRIALS_OF, floor_n=0.1)
+    assert gap.before_n == pytest.approx(np.sqrt((by_cable**2).mean()))
+    assert gap.by_cable_n == pytest.approx(tuple(by_cable))
+    assert (gap.after_n, gap.floor_n) == (pytest.approx(0.1), 0.1)
+    assert gap.removed_fraction == pytest.approx(1.0)
+    assert gap.ci95 == pytest.approx((1.0, 1.0))
     assert gap_size(2.0 * WHITE, WHITE, TRIALS_OF, 0.1) == gap_size(
         2.0 * WHITE, WHITE, TRIALS_OF, 0.1
     )

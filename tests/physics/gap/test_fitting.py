@@ -56,10 +56,10 @@ def fitted(problem, *starts, **options):
 def test_a_nonlinear_effect_is_recovered_from_afar(truth):
     truth = dict(zip((AMOUNT, RATE), truth, strict=True))
     problem = problem_of(Sums(fading("fading", ["x"])), truth)
-    found = fitted(problem, {AMOUNT: truth[AMOUNT] / 3.0, RATE: 3.0}, most_steps=20)
-    assert found.values == pytest.approx(truth, rel=0.15)
-    assert found.held_out_rmse == pytest.approx(FLOOR, rel=0.15)
-    assert found.effects == ("fading",)
+    fit = fitted(problem, {AMOUNT: truth[AMOUNT] / 3.0, RATE: 3.0}, most_steps=20)
+    assert fit.values == pytest.approx(truth, rel=0.15)
+    assert fit.held_out_rmse == pytest.approx(FLOOR, rel=0.15)
+    assert fit.effects == ("fading",)
 
 
 @pytest.mark.parametrize("change", [-0.7, -0.59, 2.0])
@@ -67,9 +67,9 @@ def test_a_gross_change_of_a_stiffness_is_reached_from_none(change):
     candidate = Candidate("soft", ("x",), (STIFFNESS,))
     (term,) = candidate.terms("x")
     stretched = {candidate: lambda _, numbers: SIGNALS[0] / (1.0 + numbers["change"])}
-    found = fitted(problem_of(Sums(stretched), {term: change}), {term: 0.0})
-    assert found.values[term] == pytest.approx(change, abs=1.5 * found.deviations[term])
-    assert found.deviations[term] < 0.03 * (1.0 + change)
+    fit = fitted(problem_of(Sums(stretched), {term: change}), {term: 0.0})
+    assert fit.values[term] == pytest.approx(change, abs=1.5 * fit.deviations[term])
+    assert fit.deviations[term] < 0.03 * (1.0 + change)
 
 
 def test_one_number_at_its_end_leaves_the_others_free():
@@ -79,10 +79,10 @@ def test_one_number_at_its_end_leaves_the_others_free():
     simulator = Sums({candidate: lambda _, n: n["low"] * SIGNALS[0] + n["high"] * mixed})
     low, high = (Term("two", "x", name) for name in ("low", "high"))
     problem = problem_of(simulator, 0.9 * SIGNALS[0] + 2.0 * mixed)
-    found = fitted(problem, {low: 0.4, high: 0.1}, most_steps=20)
+    fit = fitted(problem, {low: 0.4, high: 0.1}, most_steps=20)
     best = (mixed * (problem.readings - 0.5 * SIGNALS[0])).sum() / (mixed**2).sum()
-    assert found.values[low] == 0.5
-    assert found.values[high] == pytest.approx(best, abs=0.02)
+    assert fit.values[low] == 0.5
+    assert fit.values[high] == pytest.approx(best, abs=0.02)
     assert abs(best - 2.0) > 0.05
 
 
@@ -97,15 +97,15 @@ def test_a_fit_turns_back_from_what_cannot_be_simulated():
 
         return problem_of(Sums({candidate: change}), 1.5 * SIGNALS[0])
 
-    found = fitted(problem(1.2), {GAIN: 0.2}, most_steps=20)
-    assert found.values[GAIN] == pytest.approx(1.0, abs=0.05)
+    fit = fitted(problem(1.2), {GAIN: 0.2}, most_steps=20)
+    assert fit.values[GAIN] == pytest.approx(1.0, abs=0.05)
     assert fitted(problem(-99.0), {GAIN: 1.0}) is None
 
 
 def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
     """In a linear mechanism the one step is the whole way. Tolerances have seen all trials."""
     problem = problem_of(Sums(linear("gain", ["a"]), scatter(0.5)), {GAIN: 1.0})
-    found = fitted(problem, {GAIN: 1.0})
+    fit = fitted(problem, {GAIN: 1.0})
     strong = 1.0 / FLOOR**2
     for k in range(4):
         rows = problem.fold[problem.trial] == k
@@ -118,10 +118,10 @@ def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
         beside = (problem.readings - best[2] * columns[2]).ravel()
         best[:2] = np.linalg.solve(strong * t @ t.T + np.eye(2), strong * t @ beside)
         expected = np.tensordot(best, columns[:, rows], axes=1)
-        assert_allclose(found.held_out[rows], expected, atol=2e-3)
-    left = ((problem.readings - found.held_out) ** 2).sum(-1)
-    assert_allclose(found.squares, np.bincount(problem.trial, left))
-    assert found.held_out_rmse == pytest.approx(np.sqrt(left.sum() / problem.readings.size))
+        assert_allclose(fit.held_out[rows], expected, atol=2e-3)
+    squares_left = ((problem.readings - fit.held_out) ** 2).sum(-1)
+    assert_allclose(fit.squares, np.bincount(problem.trial, squares_left))
+    assert fit.held_out_rmse == pytest.approx(np.sqrt(squares_left.sum() / problem.readings.size))
 
 
 ALIKE = linear("gain", ["a"], np.ones((1, *SIGNALS[0].shape)))
@@ -130,9 +130,9 @@ ALIKE = linear("gain", ["a"], np.ones((1, *SIGNALS[0].shape)))
 def test_an_effect_takes_over_from_the_tolerance_that_is_the_same_number():
     """Two priors share one number by their variances, here 9 and 0.05²: it is all the effect's."""
     problem = problem_of(Sums(ALIKE, scatter(0.05), floor=1e-3), {GAIN: 0.2})
-    found = fitted(problem, {GAIN: 0.0})
-    (tolerance,) = (v for t, v in found.nuisance.items() if t.place == "a")
-    assert found.values[GAIN] == pytest.approx(0.2, abs=0.02)
+    fit = fitted(problem, {GAIN: 0.0})
+    (tolerance,) = (v for t, v in fit.nuisance.items() if t.place == "a")
+    assert fit.values[GAIN] == pytest.approx(0.2, abs=0.02)
     assert abs(tolerance) < 0.02
 
 
@@ -151,9 +151,9 @@ def test_intervals_hold_the_truth(effects, truth, std):
     inside = []
     for seed in range(30):
         rng = np.random.default_rng([seed, 9])
-        left = {amount("scatter", place): rng.normal(0.0, std) for place in "ab"}
-        found = fitted(problem_of(simulator, {**truth, **left}, seed), truth)
-        inside.append([abs(found.values[t] - v) <= found.deviations[t] for t, v in truth.items()])
+        nuisance = {amount("scatter", place): rng.normal(0.0, std) for place in "ab"}
+        fit = fitted(problem_of(simulator, {**truth, **nuisance}, seed), truth)
+        inside.append([abs(fit.values[t] - v) <= fit.deviations[t] for t, v in truth.items()])
     assert (np.mean(inside, axis=0) >= 0.85).all()
 
 
@@ -216,9 +216,9 @@ def test_effects_act_beside_the_tolerances_that_fit_best():
     simulator = Same(linear("gain", ["a"]), scatter())
     nominal = problem_of(simulator, {GAIN: 0.12})
     problem = with_fitted_nuisance(nominal)
-    none = refine(problem, {}, [[]])
-    assert none.held_out_rmse < 1.1 * FLOOR
-    (effect,) = linear_effects(problem, simulator.candidates[0], none)
+    without_effects = refine(problem, {}, [[]])
+    assert without_effects.held_out_rmse < 1.1 * FLOOR
+    (effect,) = linear_effects(problem, simulator.candidates[0], without_effects)
     as_tolerance = problem.nuisance_columns[0] / 0.05
     assert_allclose(effect.columns[0], as_tolerance, atol=0.12 * np.abs(as_tolerance).max())
     assert_array_equal(problem.predict([{}])[0], nominal.nominal)

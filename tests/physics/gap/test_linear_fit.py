@@ -42,20 +42,20 @@ def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, fold
     fold = np.arange(TRIALS) % folds
     t = slice(tolerances)
     data = products(x, y, trial, used)
-    found = held_out_squares(data, tolerances, precision, offset, weight_, fold)
+    squares_of_trials = held_out_squares(data, tolerances, precision, offset, weight_, fold)
     for k in range(TRIALS):
         others = used & (fold[trial] != fold[k])
         here = used & (trial == k)
         fitted = directly(x[:, others], y[others], precision, offset, weight_)
         beside = y - np.tensordot(fitted[tolerances:], x[tolerances:], axes=1)
         fitted[t] = directly(x[t, used], beside[used], precision[t], offset[t], weight_)
-        left = y[here] - np.tensordot(fitted, x[:, here], axes=1)
-        assert found[k] == pytest.approx((left**2).sum(), rel=1e-6, abs=1e-9)
-    at = [*range(tolerances), 3]
-    none = np.zeros(4)
+        residual = y[here] - np.tensordot(fitted, x[:, here], axes=1)
+        assert squares_of_trials[k] == pytest.approx((residual**2).sum(), rel=1e-6, abs=1e-9)
+    columns = [*range(tolerances), 3]
+    no_prior = np.zeros(4)
     reduced = Reduced(data, tolerances, tolerances, precision, weight_, fold)
     squares = held_out_squares(
-        data.columns(at), tolerances, precision[at], none[at], weight_, fold
+        data.columns(columns), tolerances, precision[columns], no_prior[columns], weight_, fold
     )
     mean_square = reduced.left(np.array([[3 - tolerances]]))[0][0]
     assert mean_square == pytest.approx(squares.sum() / data.count.sum(), rel=1e-6, abs=1e-9)

@@ -11,8 +11,10 @@ ERROR = np.array([2.0, 0.5])
 def test_an_error_as_expected_has_the_mean_square_of_the_rest():
     rng = np.random.default_rng(3)
     rows = len(FOLD)
-    at = np.linspace(0.0, 6.0 * np.pi, rows)
-    columns = np.array([np.sin(at), np.cos(at), 1e-3 * np.sin(90.0 * at)]).T * ERROR[:, None, None]
+    turn = np.linspace(0.0, 6.0 * np.pi, rows)
+    columns = (
+        np.array([np.sin(turn), np.cos(turn), 1e-3 * np.sin(90.0 * turn)]).T * ERROR[:, None, None]
+    )
     scatter = rng.normal(0.0, 0.05, (rows, 2))
     drawn = np.einsum("crk,cnk->ncr", columns, rng.normal(size=(2, 300, 3))).swapaxes(1, 2)
     parts, deviation = TwoParts.of(columns, scatter + drawn[0], ERROR, 0.01, FOLD)

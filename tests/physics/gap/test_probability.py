@@ -60,8 +60,8 @@ def test_probabilities_add_up_to_one_and_stand_in_their_order(none, others):
 
 @pytest.mark.parametrize("better", ["a", "b"])
 def test_of_two_that_reach_the_floor_the_one_that_leaves_less_is_first(better):
-    left = {"a": 0.6 * FLOOR, "b": 0.6 * FLOOR, better: 0.5 * FLOOR}
-    hypotheses = [leaving(20.0 * FLOOR), *(leaving(rmse, name) for name, rmse in left.items())]
+    rmse_of = {"a": 0.6 * FLOOR, "b": 0.6 * FLOOR, better: 0.5 * FLOOR}
+    hypotheses = [leaving(20.0 * FLOOR), *(leaving(rmse, name) for name, rmse in rmse_of.items())]
     assert posterior(hypotheses, FLOOR, BUNDLED)[0].effects == (better,)
 
 
@@ -77,9 +77,9 @@ def test_of_two_that_reach_the_floor_the_one_that_leaves_less_is_first(better):
     ids=["nothing left", "one is enough", "the second adds nothing", "two", "none helps"],
 )
 def test_the_most_probable_explanation(none, others, first):
-    found = judged(none, **others)
-    assert max(found, key=found.__getitem__) == first
-    assert found[first] > 0.5
+    probabilities = judged(none, **others)
+    assert max(probabilities, key=probabilities.__getitem__) == first
+    assert probabilities[first] > 0.5
 
 
 ONE, OTHER = SIGNALS[:2]
@@ -153,9 +153,9 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
 
 
 def test_effects_near_none_are_worth_another_experiment():
-    none = Ranked(("none",), 0.59, leaving(0.1))
+    no_effects = Ranked(("none",), 0.59, leaving(0.1))
     payload = Ranked(("a",), 0.17, leaving(0.1, "a"))
     tilt = Ranked(("b",), 0.02, leaving(0.1, "b"))
     unknown = Ranked(UNKNOWN, 0.2, None)
-    assert near_none([none, unknown, payload, tilt]) == (payload,)
-    assert near_none([payload, none]) == ()
+    assert near_none([no_effects, unknown, payload, tilt]) == (payload,)
+    assert near_none([payload, no_effects]) == ()

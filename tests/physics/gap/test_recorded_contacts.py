@@ -48,12 +48,12 @@ def law() -> TorchLaw:
 def test_a_healthy_arm_is_estimated_right_on_every_segment(
     recording: Recording, law: TorchLaw
 ) -> None:
-    found = recorded_errors(recording, law)
-    assert set(found.by_segment) == {1, 2, 3, 4}
-    assert found.whole.contact_accuracy > 0.99
-    assert found.false_n < 0.05
-    assert found.confirmed > 0.9
-    for each in found.by_segment.values():
+    errors = recorded_errors(recording, law)
+    assert set(errors.by_segment) == {1, 2, 3, 4}
+    assert errors.whole.contact_accuracy > 0.99
+    assert errors.false_n < 0.05
+    assert errors.confirmed > 0.9
+    for each in errors.by_segment.values():
         assert each.errors.contacts == 2 * np.count_nonzero(CYCLE)
         assert each.errors.magnitude_mae_n < 0.5
         assert each.errors.direction_mae_deg < 2.0
@@ -113,10 +113,10 @@ def test_readings_that_are_not_steady_are_no_tare() -> None:
 
 def test_unloaded_poses_are_neither_of_a_motion_nor_after_a_load() -> None:
     made = small_recording()
-    found = unloaded_poses(made)
-    assert len(found) == 9  # at rest first, and before each load
-    assert [one.count for one in found] == [20] + 8 * [4]
-    times = [one.taken_ns for one in found]
+    poses = unloaded_poses(made)
+    assert len(poses) == 9  # at rest first, and before each load
+    assert [one.count for one in poses] == [20] + 8 * [4]
+    times = [one.taken_ns for one in poses]
     assert times == sorted(times)
     assert [one.command_rad[4] for one in unloaded_poses(made, [4, 5])] == [0.0, 0.1]
 
@@ -138,11 +138,11 @@ class PerfectNetwork(Estimator):
     def estimate_batch(self, tension_differences_n, joint_commands_rad=None) -> Estimates:
         self.rows = len(tension_differences_n)
         released = np.abs(tension_differences_n).max(axis=1) < 1.0
-        none = np.zeros(self.rows)
+        zeros = np.zeros(self.rows)
         segment = np.where(released, 0, self._truth.segment)
         size = self._truth.magnitude_n
         return Estimates(
-            none, segment, self._truth.angle_deg, size, none + 0.1, none + 0.1, size, size
+            zeros, segment, self._truth.angle_deg, size, zeros + 0.1, zeros + 0.1, size, size
         )
 
 
@@ -151,10 +151,10 @@ def test_a_network_gets_differences_to_tares_at_contact_points(
 ) -> None:
     """The same readings; only what is stated of the place of trial 1 differs."""
     network = PerfectNetwork(recorded_errors(recording, law).truth)
-    found = recorded_errors(recording, network)
-    assert found.whole.contact_accuracy == 1.0
-    assert found.whole.errors.magnitude_mae_n == 0.0
-    assert np.isnan(found.confirmed)
+    errors = recorded_errors(recording, network)
+    assert errors.whole.contact_accuracy == 1.0
+    assert errors.whole.errors.magnitude_mae_n == 0.0
+    assert np.isnan(errors.confirmed)
     loaded = recording.load_segment > 0
     first = recording.trial == 1
     far = replace(recording, load_at_m=np.where(first & loaded, 0.11, np.nan))
@@ -170,9 +170,9 @@ def test_a_law_is_judged_on_loads_anywhere(law: TorchLaw, at_m: float) -> None:
     """On segment 1, where the moment alone is known, by the force that it means at the place."""
     made = small_recording()
     made = replace(made, load_at_m=np.where(made.load_segment > 0, at_m, np.nan))
-    found = recorded_errors(read_from(made), law)
-    assert set(found.by_segment) == {1, 2, 3, 4}
-    for each in found.by_segment.values():
+    errors = recorded_errors(read_from(made), law)
+    assert set(errors.by_segment) == {1, 2, 3, 4}
+    for each in errors.by_segment.values():
         assert each.contact_accuracy > 0.95
         assert each.errors.magnitude_mae_n < 0.7
 

@@ -48,11 +48,11 @@ def best(found):
 
 
 def test_one_effect_is_found_in_its_place_and_no_second_is_added():
-    found = searched({GAIN_A: 1.0})
-    assert found[0].effects == ()  # tolerances alone stand first
-    assert best(found).effects == ("gain",)
-    assert {term.place for term in best(found).values} == {"b"}
-    assert all(len(h.effects) < 2 for h in found)
+    best_fit = searched({GAIN_A: 1.0})
+    assert best_fit[0].effects == ()  # tolerances alone stand first
+    assert best(best_fit).effects == ("gain",)
+    assert {term.place for term in best(best_fit).values} == {"b"}
+    assert all(len(h.effects) < 2 for h in best_fit)
 
 
 def test_a_history_dependent_effect_is_found_with_its_shape():
@@ -82,11 +82,11 @@ ROWS_OF_THE_SUBSAMPLE = np.flatnonzero(np.isin(np.arange(len(TRIAL)) % 20, [0, 1
 def test_what_a_subsample_chooses_is_scored_on_all_rows():
     problem = problem_of(Sums(LIBRARY), {GAIN_A: 1.0, **FADING_X})
     on_some = OnSomeRows(LIBRARY)
-    found = best(search(subsampled(problem, on_some, ROWS_OF_THE_SUBSAMPLE)))
-    assert found.effects == ("fading", "gain")
-    assert found.held_out.shape == problem.readings.shape
-    assert found.count.sum() == problem.readings.size
-    assert found.held_out_rmse < 1.2 * FLOOR
+    best_fit = best(search(subsampled(problem, on_some, ROWS_OF_THE_SUBSAMPLE)))
+    assert best_fit.effects == ("fading", "gain")
+    assert best_fit.held_out.shape == problem.readings.shape
+    assert best_fit.count.sum() == problem.readings.size
+    assert best_fit.held_out_rmse < 1.2 * FLOOR
     whole = [v for v in problem.simulator.asked if any(t.effect == "fading" for t in v)]
     assert len(whole) < 0.1 * len(on_some.asked)
 
@@ -112,9 +112,9 @@ def test_a_second_effect_that_has_nothing_to_do_is_not_named():
 
 def test_a_candidate_that_cannot_be_simulated_is_passed_over():
     broken = Candidate("broken", ("x",), (size("amount"),))
-    found = searched({GAIN_A: 1.0}, {broken: lambda *_: np.nan * SIGNALS[0], **LIBRARY})
-    assert best(found).effects == ("gain",)
-    assert not any("broken" in h.effects for h in found)
+    best_fit = searched({GAIN_A: 1.0}, {broken: lambda *_: np.nan * SIGNALS[0], **LIBRARY})
+    assert best(best_fit).effects == ("gain",)
+    assert not any("broken" in h.effects for h in best_fit)
 
 
 @pytest.mark.slow  # the whole search, five effects deep
@@ -123,11 +123,11 @@ def test_five_effects_at_once_are_found_with_their_sizes_and_nothing_else():
     truth = {
         amount(name, "b"): size for name, size in zip("defgh", (3, -2, 1.5, 1, 2), strict=True)
     }
-    found = search(problem_of(Sums(library), truth))
-    best = min(found, key=lambda h: h.held_out_rmse)
+    hypotheses = search(problem_of(Sums(library), truth))
+    best = min(hypotheses, key=lambda h: h.held_out_rmse)
     assert best.effects == tuple("defgh")
     assert best.values == pytest.approx(truth, abs=0.05)
-    without = {h.effects: h.held_out_rmse for h in found}
+    without = {h.effects: h.held_out_rmse for h in hypotheses}
     for name in "defgh":
         assert all(left > 5.0 * best.held_out_rmse for e, left in without.items() if name not in e)
 
@@ -145,9 +145,9 @@ def test_what_depends_on_history_is_found_beside_several_others(subsample, other
     problem = problem_of(Sums(library), truth)
     if subsample:
         problem = subsampled(problem, OnSomeRows(library), ROWS_OF_THE_SUBSAMPLE)
-    found = best(search(problem))
-    assert found.effects == ("d", "e", "f", "fading")
-    assert found.values == pytest.approx(truth, rel=0.1)
+    best_fit = best(search(problem))
+    assert best_fit.effects == ("d", "e", "f", "fading")
+    assert best_fit.values == pytest.approx(truth, rel=0.1)
 
 
 def unlike(count, seed):
@@ -160,5 +160,5 @@ def test_an_effect_in_most_of_its_places_is_found_in_all_of_them():
     simulator = Sums(linear("gain", "ab") | linear("drift", places, unlike(12, 1)))
     truth = {amount("gain", "b"): 3.0} | {amount("drift", place): 1.0 for place in places[:10]}
     unexplained = 1.3 * unlike(1, 2)[0]
-    found = best(search(problem_of(simulator, simulator.predict([truth])[0] + unexplained)))
-    assert set(found.values) == truth.keys()
+    predicted = best(search(problem_of(simulator, simulator.predict([truth])[0] + unexplained)))
+    assert set(predicted.values) == truth.keys()

@@ -102,5 +102,5 @@ def test_a_column_is_taken_where_its_change_suits_the_residual():
 
     library = {Candidate("shift", ("arm",), (size("amount", typical=10.0),)): bent}
     truth = {amount("shift", "arm"): 0.8}
-    found = added(library | linear("gain", "ab", SIGNALS[1:]), truth)
-    assert found == pytest.approx({amount("shift", "arm"): 0.08}, abs=0.005)
+    columns = added(library | linear("gain", "ab", SIGNALS[1:]), truth)
+    assert columns == pytest.approx({amount("shift", "arm"): 0.08}, abs=0.005)

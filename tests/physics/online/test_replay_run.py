@@ -90,9 +90,9 @@ def test_a_recording_that_begins_later_has_the_calibration_that_is_latched(made,
 
 def test_a_changed_bit_is_found_and_the_command_fails(made, tmp_path):
     records = list(made.records)
-    at = [i for i, record in enumerate(records) if record[0] == topics.WRENCH][100]
-    topic, log_ns, raw = records[at]
-    records[at] = (topic, log_ns, raw[:-9] + bytes([raw[-9] ^ 1]) + raw[-8:])
+    changed_record = [i for i, record in enumerate(records) if record[0] == topics.WRENCH][100]
+    topic, log_ns, raw = records[changed_record]
+    records[changed_record] = (topic, log_ns, raw[:-9] + bytes([raw[-9] ^ 1]) + raw[-8:])
     path = made.write(tmp_path / "changed.mcap", records)
     got = replayed(path)
     assert (got.compared, got.identical) == (300, 299)

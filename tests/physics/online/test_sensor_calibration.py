@@ -39,12 +39,12 @@ def test_the_stated_uncertainty_covers_the_truth_in_95_of_100_draws():
     draw = np.random.default_rng(4)
     hits = np.zeros(3)
     for _ in range(DRAWS):
-        found = calibrate(UP_AND_DOWN_N, raw_of(error_n=draw.normal(0.0, 0.3, 9)))
-        top_n = found.scale_n_per_unit * (ZERO + 80.0 / SCALE - found.zero)
+        calibrated = calibrate(UP_AND_DOWN_N, raw_of(error_n=draw.normal(0.0, 0.3, 9)))
+        top_n = calibrated.scale_n_per_unit * (ZERO + 80.0 / SCALE - calibrated.zero)
         hits += (
-            abs(found.scale_n_per_unit - SCALE) <= found.scale_u95_n_per_unit,
-            abs(found.zero - ZERO) <= found.zero_u95,
-            abs(top_n - 80.0) <= found.tension_u95_n,
+            abs(calibrated.scale_n_per_unit - SCALE) <= calibrated.scale_u95_n_per_unit,
+            abs(calibrated.zero - ZERO) <= calibrated.zero_u95,
+            abs(top_n - 80.0) <= calibrated.tension_u95_n,
         )
     share = hits / DRAWS
     assert (share >= 0.925).all(), share
@@ -79,12 +79,12 @@ FORCES_N = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
 def test_readings_without_error_give_back_scale_and_zero(scale, zero):
     raw = zero + FORCES_N / scale
     assume(100.0 / abs(scale) > 1e-5 * abs(raw).max())
-    found = calibrate(FORCES_N, raw)
-    assert found.scale_n_per_unit == pytest.approx(scale, rel=1e-6)
-    assert found.zero == pytest.approx(zero, abs=1e-6 * (abs(zero) + 100.0 / abs(scale)))
-    assert found.points == 6
-    assert found.largest_force_n == 100.0
-    assert found.hysteresis_n is None
+    calibrated = calibrate(FORCES_N, raw)
+    assert calibrated.scale_n_per_unit == pytest.approx(scale, rel=1e-6)
+    assert calibrated.zero == pytest.approx(zero, abs=1e-6 * (abs(zero) + 100.0 / abs(scale)))
+    assert calibrated.points == 6
+    assert calibrated.largest_force_n == 100.0
+    assert calibrated.hysteresis_n is None
 
 
 @pytest.mark.parametrize(

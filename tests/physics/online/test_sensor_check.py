@@ -50,9 +50,9 @@ def coarse(tensions_n):
 def test_a_fault_is_found_at_its_cable(spoil, kind):
     tensions_n = good_tensions_n()
     spoil(tensions_n)
-    found = wrong(checked(series(tensions_n)))
-    assert (kind, "cable_5") in found
-    assert {where for _, where in found} == {"cable_5"}
+    faults = wrong(checked(series(tensions_n)))
+    assert (kind, "cable_5") in faults
+    assert {where for _, where in faults} == {"cable_5"}
 
 
 def test_a_channel_that_stands_still_is_wrong_only_while_others_move():
@@ -139,14 +139,14 @@ def test_missing_samples_are_counted_and_do_not_lower_the_rate(rate_hz, missing)
 
 def test_rest_is_the_usual_pose_without_a_load_once_settled():
     recording = small_recording()
-    found = rows_at_rest(recording)
-    assert found[:20].all()
-    assert not found[recording.load_segment > 0].any()
-    assert not found[recording.command_rad.any(axis=1)].any()
+    rows = rows_at_rest(recording)
+    assert rows[:20].all()
+    assert not rows[recording.load_segment > 0].any()
+    assert not rows[recording.command_rad.any(axis=1)].any()
     unloading = np.flatnonzero(np.diff((recording.load_segment > 0).astype(int)) == -1)[0] + 1
     settled = recording.time_s > recording.time_s[unloading] + SETTLING_S
-    assert not found[unloading]
-    assert found[settled].any()
+    assert not rows[unloading]
+    assert rows[settled].any()
 
 
 WINDOW = (4.0, 7.0)

@@ -87,18 +87,18 @@ def pretension():
 
 @pytest.mark.slow
 def test_the_slope_is_the_stiffness_within_its_standard_error(pretension):
-    found = compared(pretension)
-    assert found["slope of tension against actuator position", PAPER][2] is Agreement.YES
-    assert found["slope of tension against command", CLOSED_FORM][2] is Agreement.YES
-    assert "± 0.0000" in found["slope of tension against actuator position", PAPER][0]
+    figures = compared(pretension)
+    assert figures["slope of tension against actuator position", PAPER][2] is Agreement.YES
+    assert figures["slope of tension against command", CLOSED_FORM][2] is Agreement.YES
+    assert "± 0.0000" in figures["slope of tension against actuator position", PAPER][0]
 
 
 @pytest.mark.slow
 def test_the_swing_of_the_start_goes_from_nothing_to_nearly_twice_the_pretension(pretension):
-    found = compared(pretension)
-    lowest = found["lowest force of the starting swing", PAPER][0]
+    figures = compared(pretension)
+    lowest = figures["lowest force of the starting swing", PAPER][0]
     assert lowest == pytest.approx(0.0, abs=1e-9)
-    assert 80.0 < found["highest force of the starting swing", PAPER][0] < 100.0 / 1.1
+    assert 80.0 < figures["highest force of the starting swing", PAPER][0] < 100.0 / 1.1
     assert disagreeing(pretension) == []
 
 
@@ -109,9 +109,9 @@ def self_locking():
 
 @pytest.mark.slow
 def test_errors_and_map_are_those_of_the_closed_forms(self_locking):
-    found = compared(self_locking)
+    figures = compared(self_locking)
     assert disagreeing(self_locking) == []
-    assert found["cells of the map on the wrong side of the closed form", CLOSED_FORM][0] == 0
+    assert figures["cells of the map on the wrong side of the closed form", CLOSED_FORM][0] == 0
 
 
 @pytest.mark.slow

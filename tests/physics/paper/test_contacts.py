@@ -48,14 +48,14 @@ def result():
 
 
 def test_the_two_stage_network_meets_all_the_papers_errors(result):
-    found = compared(result)
+    comparisons = compared(result)
     for what in (
         "contacts on the right segment",
         "direction error, mean absolute",
         "magnitude error, mean absolute",
         "magnitude error, RMS",
     ):
-        assert found[f"two-stage network: {what}", PAPER][2] is Agreement.YES, what
+        assert comparisons[f"two-stage network: {what}", PAPER][2] is Agreement.YES, what
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +65,10 @@ def several():
 
 
 def test_over_99_percent_are_recognised_and_errors_fall_towards_the_tip(several):
-    found = compared(several)
-    recognised = found["two-stage network: segments recognised, contacts from 5 N", PAPER]
+    comparisons = compared(several)
+    recognised = comparisons["two-stage network: segments recognised, contacts from 5 N", PAPER]
     assert recognised[0] > 99.0
-    falling = found["two-stage network: force error from point 1 to 4", PAPER]
+    falling = comparisons["two-stage network: force error from point 1 to 4", PAPER]
     assert falling[2] is Agreement.YES
 
 

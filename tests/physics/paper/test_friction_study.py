@@ -60,9 +60,9 @@ def test_equation_2_is_recovered_over_the_sweep(result):
 
 @pytest.mark.slow
 def test_what_holds_and_what_creeps(result):
-    left = {row[0]: row[2] for row in result.tables[0].rows}
-    assert left["capstan"] == pytest.approx(100.0, abs=0.01)
-    assert left["yielding spring"] == pytest.approx(100.0, abs=0.01)
-    assert left["frictionloss"] < 1.0
-    assert 10.0 < left["frictionloss, hardened"] < 60.0
+    remaining = {row[0]: row[2] for row in result.tables[0].rows}
+    assert remaining["capstan"] == pytest.approx(100.0, abs=0.01)
+    assert remaining["yielding spring"] == pytest.approx(100.0, abs=0.01)
+    assert remaining["frictionloss"] < 1.0
+    assert 10.0 < remaining["frictionloss, hardened"] < 60.0
     assert disagreeing(result) == []

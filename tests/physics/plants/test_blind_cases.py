@@ -42,10 +42,10 @@ def folder(arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_any_reader_of_recordings_reads_them(folder: Path, arm_file: Path) -> None:
     schedule, tensions_n = make_case(read_nominal(arm_file), 7, 2, "none").recordings[""]
-    found = read_csv(folder / "case_002.csv", open_arm(arm_file))
+    recording = read_csv(folder / "case_002.csv", open_arm(arm_file))
     for name, expected in schedule._asdict().items():
-        np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
-    np.testing.assert_allclose(found.tensions_n, tensions_n, atol=5.1e-5)
+        np.testing.assert_allclose(getattr(recording, name), expected, atol=1e-9)
+    np.testing.assert_allclose(recording.tensions_n, tensions_n, atol=5.1e-5)
 
 
 LISTS = {

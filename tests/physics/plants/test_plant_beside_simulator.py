@@ -54,6 +54,6 @@ def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[st
     """Both have the same nodes and pieces; they share no code and no method of solution."""
     rough = plant_n(PlantFriction(np.full(12, 0.2), actuator_share=0.3, **plant))
     same = {"coefficient": 0.2, "pulley_wrap_rad": 0.0, "guide_wrap_rad": 0.0, "give_m": 0.0}
-    found = simulated_n(**same | {"run_compliance": 0.3 / 0.7} | simulator)
-    np.testing.assert_allclose(found, rough, atol=1e-4)
+    simulated = simulated_n(**same | {"run_compliance": 0.3 / 0.7} | simulator)
+    np.testing.assert_allclose(simulated, rough, atol=1e-4)
     assert np.abs(rough - plant_n(PlantFriction())).max() > 1.0

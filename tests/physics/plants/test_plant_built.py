@@ -67,9 +67,9 @@ def test_a_push_at_the_contact_point_is_the_plant_s_own_load(segment: int) -> No
     arm = arm_of()
     loads_n = np.zeros((1, SEGMENTS, 3))
     loads_n[0, segment - 1] = FORCE_N
-    own = find_rest(arm.body, POSE[None], arm.held_m(POSE[None]), loads_n)
+    rest_under_load = find_rest(arm.body, POSE[None], arm.held_m(POSE[None]), loads_n)
     pushed = arm.tensions_n(POSE, [Push(segment, NOMINAL.contact_m[segment - 1], FORCE_N)])
-    np.testing.assert_allclose(pushed, own.tensions_n[0], atol=1e-6)
+    np.testing.assert_allclose(pushed, rest_under_load.tensions_n[0], atol=1e-6)
 
 
 def test_tensions_balance_weights_and_pushes_at_every_joint() -> None:

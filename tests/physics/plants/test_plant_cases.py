@@ -39,9 +39,9 @@ def test_a_recording_has_its_25_trials(seed: int) -> None:
         np.testing.assert_allclose(places, [0.034, at_m, 0.111])
     np.testing.assert_array_equal(np.isnan(schedule.load_at_m), schedule.load_segment == 0)
     for trial in range(25):  # every trial but the sweeps begins and ends where the last ended
-        own = schedule.load_segment[schedule.trial == trial]
-        assert len(set(own) - {0}) <= 1
-        assert own[-1] == 0
+        load_segments = schedule.load_segment[schedule.trial == trial]
+        assert len(set(load_segments) - {0}) <= 1
+        assert load_segments[-1] == 0
 
 
 ARM = ideal_arm(NOMINAL)

@@ -57,8 +57,8 @@ def test_without_friction_it_is_the_path_of_rests() -> None:
     load = np.array([load_n(share) for share in UP_DOWN])
     paid = np.tile(paid_out_m(POSE), (len(UP_DOWN), 1))
     expected = follow_path(BODY, command, paid, load)
-    found = sensed_n(states_along(PlantFriction(), Creep(), UP_DOWN))
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    sensed = sensed_n(states_along(PlantFriction(), Creep(), UP_DOWN))
+    np.testing.assert_allclose(sensed, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -105,9 +105,9 @@ def test_cables_do_what_a_search_over_all_patterns_finds() -> None:
         longer[:, 2::2] = across.length_m[:, : pieces // 2, cable]
         stretch = states[0].tension_n[cable, 0] * compliance[cable, :pieces]
         stretch = stretch + longer - longer[0]
-        found = searched(1.0 / compliance[cable, :pieces], grip, stretch)
+        best_fit = searched(1.0 / compliance[cable, :pieces], grip, stretch)
         tension = np.array([state.tension_n[cable, :pieces] for state in states]).clip(0.0)
-        np.testing.assert_allclose(tension, found, atol=1e-4)
+        np.testing.assert_allclose(tension, best_fit, atol=1e-4)
         assert np.ptp(tension) > 1.0
 
 
@@ -126,12 +126,12 @@ def test_a_run_that_sticks_keeps_its_tension_while_the_load_comes_off() -> None:
 def test_joint_friction_holds_no_more_than_its_torque() -> None:
     law = friction(joint_nm=np.full((4, 2), 0.2))
     path = QuasiStaticPath(BODY, PlantFriction(), Creep(), RUN_M)
-    left = []
+    residuals = []
     for state in states_along(law, Creep(), UP_DOWN):
-        at = path.balance(state, state.angles_rad, None)
-        left.append(np.abs(at.torque_nm))
-    assert np.max(left) <= 0.2 + 1e-6
-    assert np.max(left) > 0.19
+        balance = path.balance(state, state.angles_rad, None)
+        residuals.append(np.abs(balance.torque_nm))
+    assert np.max(residuals) <= 0.2 + 1e-6
+    assert np.max(residuals) > 0.19
 
 
 @pytest.mark.slow
@@ -144,8 +144,8 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
     np.testing.assert_allclose(tension[10], firmly[10], atol=0.05)
     crept = np.abs(tension[159] - firmly[11]).max()
     assert crept > 0.03
-    left = np.abs(tension - tension[159]).max(axis=1)
-    assert left[10 + 25] / left[10] == pytest.approx(
+    remaining_n = np.abs(tension - tension[159]).max(axis=1)
+    assert remaining_n[10 + 25] / remaining_n[10] == pytest.approx(
         np.exp(-1.0), abs=0.06
     )  # one time constant later
     np.testing.assert_allclose(tension[-1], tension[0], atol=0.02)

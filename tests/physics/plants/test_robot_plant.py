@@ -55,9 +55,9 @@ def test_torques_are_those_of_mujoco_without_effects(kind):
         motion = rng.normal(size=(3, model.nv))
         data.qpos[:], data.qvel[:], data.qacc[:] = motion
         mujoco.mj_inverse(model, data)
-        own = sizes["armature"] * motion[2] + sizes["damping"] * motion[1]
-        found = chain.torques_n_m(*motion) + own + sizes["stiffness"] * motion[0]
-        assert found == pytest.approx(data.qfrc_inverse, rel=1e-9, abs=1e-9)
+        joint_torques = sizes["armature"] * motion[2] + sizes["damping"] * motion[1]
+        torques = chain.torques_n_m(*motion) + joint_torques + sizes["stiffness"] * motion[0]
+        assert torques == pytest.approx(data.qfrc_inverse, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -112,11 +112,11 @@ def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
         inertia_kg_m2=np.zeros((1, 3, 3)),
         gravity_m_s2=np.array([0.0, 0.0, -9.81]),
     )
-    at = np.array([angle])
-    (acceleration,) = chain.accelerations(at, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
+    angles = np.array([angle])
+    (acceleration,) = chain.accelerations(angles, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
     assert acceleration == pytest.approx(-9.81 / length * np.sin(angle))
     with_payload = chain.with_mass(0, mass, np.array([0.0, 0.0, -3.0 * length]))
-    (loaded,) = with_payload.accelerations(at, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
+    (loaded,) = with_payload.accelerations(angles, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
     assert loaded == pytest.approx(acceleration * 4.0 / 10.0)  # mgl and ml² of both
 
 
@@ -150,14 +150,14 @@ def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
     model.opt.timestep = 1e-3
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)
-    found = []
+    courses = []
     data.qpos[:] = asked.angle[0, 0]
     for data.ctrl[:] in asked.angle[:, 0]:
-        found.append(data.qpos.copy())
+        courses.append(data.qpos.copy())
         mujoco.mj_step(model, data)
-    off_rad = np.abs(motion.joint[:, 0] - found).max()
+    off_rad = np.abs(motion.joint[:, 0] - courses).max()
     assert off_rad < 0.1 * np.abs(motion.joint - asked.angle).max()
-    assert np.ptp(found, axis=0).min() > 0.3
+    assert np.ptp(courses, axis=0).min() > 0.3
 
 
 def test_tendons_pull_as_those_of_mujoco():

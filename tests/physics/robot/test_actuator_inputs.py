@@ -106,10 +106,10 @@ def test_friction_of_guided_tendons_does_not_depend_on_other_inputs(tmp_path):
     pid = '<actuator><pid name="servo" joint="tip" kp="0" kv="0" input="pos vel"/>'
     beside.write_text(FINGER.replace("<actuator>", pid))
     sizes = np.array([0.3, 0.4])
-    found = []
+    outcomes = []
     for path in (alone, beside):
         robot = load_robot(path)
         command = np.ones(robot.model.nu)
-        found.append(torques(robot, waves(robot, sizes, command), long=0.3, back=0.2))
+        outcomes.append(torques(robot, waves(robot, sizes, command), long=0.3, back=0.2))
     assert mujoco.MjModel.from_xml_path(str(beside)).nu == 5
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert outcomes[1] == pytest.approx(outcomes[0], rel=1e-9)

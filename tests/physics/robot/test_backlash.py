@@ -34,7 +34,7 @@ def run(play_rad):
     joint = 0.0
     drive_speed = 0.0
     joint_speed = 0.0
-    found = []
+    positions = []
     for k in range(round(24.0 / step_s)):
         t = k * step_s
         asked = 0.8 * np.sin(2.2 * t) + 0.5 * np.sin(4.7 * t + 1.0)
@@ -48,8 +48,8 @@ def run(play_rad):
         drive += step_s * drive_speed
         joint += step_s * joint_speed
         if k % 25 == 0:
-            found.append((t, drive, torque))
-    return np.array(found[200:])
+            positions.append((t, drive, torque))
+    return np.array(positions[200:])
 
 
 @pytest.fixture(scope="module")
@@ -74,13 +74,13 @@ def test_play_shows_in_torques_and_in_motion(recording, forward):
     read, robot = recording
     simulator = RobotSystem(robot, prepared(read, robot, forward=forward), {})
     compared = simulator.comparison
-    left = []
+    residuals = []
     for play in (0.0, 0.5 * PLAY_RAD, PLAY_RAD, 2.0 * PLAY_RAD):
         change = changed(robot, [{Term("backlash", "hinge", "play_rad"): play}])
         off = (compared.readings - compared.predicted(change)) / compared.noise
-        left.append(np.sqrt((off**2).mean()))
-    assert left[2] == min(left)
-    assert left[2] < 0.35 * left[0]
+        residuals.append(np.sqrt((off**2).mean()))
+    assert residuals[2] == min(residuals)
+    assert residuals[2] < 0.35 * residuals[0]
 
 
 @pytest.mark.slow

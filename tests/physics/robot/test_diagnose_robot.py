@@ -99,15 +99,15 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
     table[joints] -= hung[table["trial"]]
     table.to_csv(path, index=False)
     robot = load_robot(model)
-    found = {}
+    zeros = {}
     sizes = zip(("shoulder", "elbow"), (0.1, 0.08), strict=True)
     friction = {Term("joint_friction", joint, "torque_n_m"): size for joint, size in sizes}
     for zeroed in (False, True):
         motion = prepared(read_recording(path, robot), robot, zeroed=zeroed)
         gaps = RobotSystem(robot, motion, friction).gaps()
-        found[zeroed] = max(gap for _, _, gap, _ in gaps)
-    assert found[False] > 3.0 * found[True]
-    assert found[True] < 0.012  # N·m
+        zeros[zeroed] = max(gap for _, _, gap, _ in gaps)
+    assert zeros[False] > 3.0 * zeros[True]
+    assert zeros[True] < 0.012  # N·m
 
 
 def test_trials_that_begin_at_zero_are_told(tmp_path, model):

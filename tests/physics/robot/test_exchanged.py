@@ -74,8 +74,8 @@ def test_columns_that_are_exchanged_or_reversed_stop_the_diagnosis(robot, change
 )
 def test_effects_of_any_size_are_no_exchange(robot, planted):
     recording = bent(**planted)
-    left = RobotSystem(robot, prepared(recording, robot), {}).left_shares()
-    assert max(left.values()) > 0.6
+    shares_left = RobotSystem(robot, prepared(recording, robot), {}).left_shares()
+    assert max(shares_left.values()) > 0.6
     assert wrong_columns(recording, robot) == []
 
 

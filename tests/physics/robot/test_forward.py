@@ -36,17 +36,17 @@ def compared(recording, robot, forward=None):
 
 
 def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_path, robot):
-    found = compared(commanded(tmp_path, robot), robot)
-    assert "forward in time" in found.description
-    assert found.names == (
+    motion = compared(commanded(tmp_path, robot), robot)
+    assert "forward in time" in motion.description
+    assert motion.names == (
         "position.shoulder",
         "position.elbow",
         "velocity.shoulder",
         "velocity.elbow",
     )
-    left = (found.readings - found.predicted(robot.nominal())) / found.floor
-    assert np.sqrt((left**2).mean()) < 2.0
-    assert (np.sqrt((found.readings**2).mean(0)) > 4.0 * found.floor).all()
+    floors = (motion.readings - motion.predicted(robot.nominal())) / motion.floor
+    assert np.sqrt((floors**2).mean()) < 2.0
+    assert (np.sqrt((motion.readings**2).mean(0)) > 4.0 * motion.floor).all()
 
 
 def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
@@ -63,12 +63,12 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     wave = np.sin(2.0 * np.pi * 0.5 * time_s)
     table = {"time_s": time_s, "position.x": wave, "command.pull": -mass * np.pi**2 * wave}
     pd.DataFrame(table).to_csv(tmp_path / "slide.csv", index=False)
-    found = compared(read_recording(tmp_path / "slide.csv", slide), slide)
-    as_asked = found.predicted(slide.nominal())
-    assert as_asked == pytest.approx(found.readings, abs=0.01 * np.abs(found.readings).max())
+    motion = compared(read_recording(tmp_path / "slide.csv", slide), slide)
+    as_asked = motion.predicted(slide.nominal())
+    assert as_asked == pytest.approx(motion.readings, abs=0.01 * np.abs(motion.readings).max())
     less = changed(slide, [{Term("torque_offset", "x", "torque_n_m"): force}])  # read, not given
-    gone = as_asked - found.predicted(less)
-    over_s = found.span_s
+    gone = as_asked - motion.predicted(less)
+    over_s = motion.span_s
     expected = np.tile([0.5 * force / mass * over_s**2, force / mass * over_s], (len(gone), 1))
     assert gone == pytest.approx(expected, rel=1e-3)
 
@@ -97,9 +97,9 @@ def test_the_floor_of_a_stiff_servo_is_what_its_stiffness_allows(tmp_path):
     kp = 2e4
     slide, recording = servo(tmp_path, kp)
     motion = prepared(recording, slide)
-    found = RobotSystem(slide, motion, {}).comparison
-    assert found.span_s > 1.0
-    assert found.floor[0] == pytest.approx(0.005 * motion.scale.torque[0] / kp, rel=0.1)
+    comparison = RobotSystem(slide, motion, {}).comparison
+    assert comparison.span_s > 1.0
+    assert comparison.floor[0] == pytest.approx(0.005 * motion.scale.torque[0] / kp, rel=0.1)
     (said,) = servos_read(slide, motion)
     assert "servos servo are taken to act on the recorded positions" in said
     assert not servos_read(slide, replace(motion, forward=False))
@@ -128,12 +128,14 @@ def test_what_encoders_read_otherwise_is_told_by_that_effect(
     command = recording.command
     if term.effect == "joint_coupling":  # the shoulder's drive bears the elbow's torque too
         command = command + 0.2 * command[:, [1]] * [1.0, 0.0]
-    found = compared(
+    motion = compared(
         replace(recording, position=reading(recording.position), command=command), robot
     )
     nominal, other = (
         np.sqrt(
-            np.mean(((found.readings - found.predicted(changed(robot, [v]))) / found.floor) ** 2)
+            np.mean(
+                ((motion.readings - motion.predicted(changed(robot, [v]))) / motion.floor) ** 2
+            )
         )
         for v in ({}, {term: value})
     )

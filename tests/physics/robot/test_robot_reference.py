@@ -27,10 +27,10 @@ def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
     recorded(path, seed=seed, **planted)
     table = pd.read_csv(path)
     for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
-        at = table[f"position.{joint}"]
+        position = table[f"position.{joint}"]
         speed = table[f"velocity.{joint}"]
-        harness = 2.0 * (at - 0.1) + 6.0 * (at - 0.1) ** 3 + np.sin(11.0 * at)
-        rough = (1.0 + np.sin(5.0 * at)) * np.sign(speed)
+        harness = 2.0 * (position - 0.1) + 6.0 * (position - 0.1) ** 3 + np.sin(11.0 * position)
+        rough = (1.0 + np.sin(5.0 * position)) * np.sign(speed)
         table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
     table["position.shoulder"] += zero_rad
     table["torque.shoulder"] *= gain
@@ -115,8 +115,8 @@ def test_a_series_of_recordings_shows_what_drifts(dask_address, tmp_path):
     assert ran.exit_code == 0, ran.output
     table = pd.read_csv(out / "drift.csv")
     assert table["effects"].tolist() == ["none", "joint_friction"]
-    found = table["joint_friction.shoulder.torque_n_m, N·m"]
-    assert found[1] == pytest.approx(0.3, rel=0.2)
+    friction = table["joint_friction.shoulder.torque_n_m, N·m"]
+    assert friction[1] == pytest.approx(0.3, rel=0.2)
     assert (out / "drift.png").read_bytes().startswith(b"\x89PNG")
     asked += ["--force", "--dask-scheduler", dask_address]
     ran = CliRunner().invoke(app, [*map(str, asked)])

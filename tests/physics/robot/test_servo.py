@@ -97,8 +97,8 @@ def test_what_is_between_command_and_joint_is_named_and_sized(
     assert verdict.effects == (effect,)
     assert verdict.probability > 0.5
     assert place in (*verdict.where.joints, *verdict.where.bodies)
-    (found,) = (n for name, n in verdict.parameters.items() if name.endswith(number))
-    assert found.value == pytest.approx(value, rel=0.1)
+    (number_found,) = (n for name, n in verdict.parameters.items() if name.endswith(number))
+    assert number_found.value == pytest.approx(value, rel=0.1)
 
 
 @pytest.mark.slow

@@ -54,14 +54,14 @@ def waves(robot, sizes, command=np.nan):
     """A motion by sines of each joint, (T, J)."""
     time_s = np.arange(0.0, 4.0, 0.005)
     speed = np.arange(2.0, 2.0 + len(sizes))
-    at = time_s[:, None] * speed
+    phase = time_s[:, None] * speed
     return Trajectory(
         time_s=time_s,
         trial=np.zeros(len(time_s), dtype=int),
-        position=sizes * np.sin(at),
-        speed=sizes * speed * np.cos(at),
-        acceleration=-sizes * speed**2 * np.sin(at),
-        direction=np.sign(np.cos(at)),
+        position=sizes * np.sin(phase),
+        speed=sizes * speed * np.cos(phase),
+        acceleration=-sizes * speed**2 * np.sin(phase),
+        direction=np.sign(np.cos(phase)),
         load=np.zeros((len(time_s), len(sizes))),
         command=np.broadcast_to(command, (len(time_s), robot.model.nu)),
     )
@@ -105,17 +105,17 @@ def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_pat
         if len(pieces[0]) != 5:  # the roll is not met
             continue
         # the roll is of the first link: what lies on it and beyond it grows with the tip
-        own = turns[0]
+        first_turn = turns[0]
         lengths = np.array(pieces)
-        angles = [own[0], own[1], own[2] + own[3]]
+        angles = [first_turn[0], first_turn[1], first_turn[2] + first_turn[3]]
         grouped = np.stack([lengths[:, 0], lengths[:, 1], lengths[:, 2], lengths[:, 4]], axis=1)
         grouped[:, 3] += 0.006 * (np.array([t[2] + t[3] for t in turns]))
         by_joint = np.stack([grouped[1] - grouped[2], grouped[3] - grouped[4]], axis=1) / 2e-6
         beyond = np.cumsum(by_joint[:0:-1], axis=0)[::-1] @ motion.speed[row]
         if np.abs(beyond).min() < 1e-3:
             continue
-        left = np.exp(MU * np.cumsum(np.sign(beyond) * angles)) - 1.0
-        expected = 7.0 * left @ by_joint[1:]
+        share_lost = np.exp(MU * np.cumsum(np.sign(beyond) * angles)) - 1.0
+        expected = 7.0 * share_lost @ by_joint[1:]
         assert lost[row] == pytest.approx(expected, rel=0.02, abs=2e-5)
 
 

@@ -28,12 +28,12 @@ def chains(
 
 def walked(cable, lengths, phi, steps):
     """Tensions (R, K) after each step, a change (R, K) of the pieces' lengths."""
-    found = []
+    tensions = []
     for step in steps:
         lengths = lengths + step
-        found.append(cable.pull(lengths, phi).tensions_n[0])
+        tensions.append(cable.pull(lengths, phi).tensions_n[0])
         cable.settle(lengths, phi)
-    return np.array(found)
+    return np.array(tensions)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -126,10 +126,10 @@ def test_slopes_are_the_derivatives_by_the_lengths(history) -> None:
             sides.append(cable.pull(other, limit).tensions_n)
         exists = moved > 0.0
         slope = (sides[0] - sides[1])[exists] / (2.0 * moved[exists, None])
-        found = pull.by_length_n_m[exists][..., k]
+        slopes = pull.by_length_n_m[exists][..., k]
         scale = 1.0 / compliance[compliance > 0.0].min()
         # a kink may lie just there
-        assert np.quantile(np.abs(slope - found) / scale, 0.95) < 1e-4
+        assert np.quantile(np.abs(slope - slopes) / scale, 0.95) < 1e-4
 
 
 @pytest.mark.parametrize("rounding", [0.0, 0.3, 0.95])

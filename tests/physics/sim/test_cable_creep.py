@@ -52,11 +52,11 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     share = 0.2
     arm = QuasiStaticArm([weightless], [[CREEP]])
     times = period * np.arange(301)
-    found = np.stack([arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in times])
+    tensions = np.stack([arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in times])
     expected = 50.0 * (1.0 + share * np.exp(-(1.0 + share) * times / 10.0)) / (1.0 + share)
     # tensions are taken to change evenly between rests
-    np.testing.assert_allclose(found, np.repeat(expected[:, None], 12, axis=1), atol=1e-3)
-    np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
+    np.testing.assert_allclose(tensions, np.repeat(expected[:, None], 12, axis=1), atol=1e-3)
+    np.testing.assert_allclose(tensions[0], 50.0, atol=1e-4)
 
 
 @pytest.mark.parametrize(("settled", "moved"), [(1.0, False), (0.5, True)])

@@ -47,5 +47,5 @@ def test_information_agrees_with_differences_of_the_equilibrium(name):
     columns.append((ahead - behind) / 2e-6)
     gain = np.stack(columns, axis=-1)
     expected = np.swapaxes(gain, 1, 2) @ gain / VARIANCE_N2
-    found = contact_information(mechanism, commands, segments, places_m, forces_n, VARIANCE_N2)
-    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2.0)
+    stated = contact_information(mechanism, commands, segments, places_m, forces_n, VARIANCE_N2)
+    np.testing.assert_allclose(stated, expected, rtol=2e-3, atol=2.0)

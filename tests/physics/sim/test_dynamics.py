@@ -127,14 +127,14 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
     commands = np.linspace(0.0, 1.0, len(loads))[:, None] * bent(3, most_deg=6.0)
     times = 0.2 * np.arange(len(loads))
     moving = ArmQuasiStatics(arm)
-    found = []
+    tensions = []
     for row, time in enumerate(times):
         if row:
             moving.command(commands[row])
             moving.load(3, loads[row, 2])
             moving.advance(time - moving.time_s)
-        found.append(moving.tensions_n)
-    np.testing.assert_allclose(found, replay_arm(arm, times, commands, loads), atol=1e-3)
+        tensions.append(moving.tensions_n)
+    np.testing.assert_allclose(tensions, replay_arm(arm, times, commands, loads), atol=1e-3)
 
 
 def test_reset_forgets_the_past() -> None:

@@ -38,10 +38,10 @@ def test_a_payload_is_its_weight_at_its_place() -> None:
     _, rest = rest_of(entry("payload", "segment_3", mass_kg=mass, beyond_middle=beyond))
     missing = unbalanced_n_m(MECHANISM, rest, PUSH)
     pose = kinematics.chain(MECHANISM, rest.joint_angles_rad)
-    at = pose.joint_m[:, 2] + 0.13 * (0.5 + beyond) * pose.rotation[:, 2, :, 0]
+    position_m = pose.joint_m[:, 2] + 0.13 * (0.5 + beyond) * pose.rotation[:, 2, :, 0]
     weight = np.array([0.0, 0.0, -9.81 * mass])
     for joint in range(8):
-        lever = at - pose.joint_m[:, joint // 2]
+        lever = position_m - pose.joint_m[:, joint // 2]
         moment = np.einsum("bi,bi->b", pose.joint_axis[:, joint], np.cross(lever, weight))
         np.testing.assert_allclose(missing[:, joint], moment if joint < 6 else 0.0, atol=1e-6)
 
@@ -59,12 +59,12 @@ def test_a_load_elsewhere_is_a_load_with_another_lever() -> None:
 
 
 def test_tolerances_are_numbers_of_one_cable_hole_or_sensor() -> None:
-    own = np.arange(12) == 6
+    is_the_cable = np.arange(12) == 6
     cable = entry("cable_tolerance", "cable_7", pretension_n=0.5, log_stiffness=0.1)
     mechanism = amended(MECHANISM, [cable])
-    np.testing.assert_allclose(mechanism.pretension_n - 50.0, 0.5 * own)
+    np.testing.assert_allclose(mechanism.pretension_n - 50.0, 0.5 * is_the_cable)
     stiffer = mechanism.stiffness_n_m / MECHANISM.stiffness_n_m
-    np.testing.assert_allclose(stiffer, np.exp(0.1 * own))
+    np.testing.assert_allclose(stiffer, np.exp(0.1 * is_the_cable))
     hole = entry("hole_tolerance", "cable_7_plate_2", outward_m=3e-4, around_m=4e-4)
     moved = amended(MECHANISM, [hole])
     np.testing.assert_array_equal(moved.hole_y_m, MECHANISM.hole_y_m)
@@ -72,7 +72,7 @@ def test_tolerances_are_numbers_of_one_cable_hole_or_sensor() -> None:
         moved.segment_hole_y_m - MECHANISM.segment_hole_y_m,
         moved.segment_hole_z_m - MECHANISM.segment_hole_z_m,
     )
-    np.testing.assert_allclose(by_m, np.outer(5e-4 * own, [0, 1, 0, 0]), atol=1e-15)
+    np.testing.assert_allclose(by_m, np.outer(5e-4 * is_the_cable, [0, 1, 0, 0]), atol=1e-15)
     radius_m = np.hypot(moved.segment_hole_y_m, moved.segment_hole_z_m)[6, 1]
     assert radius_m == pytest.approx(np.hypot(0.05 + 3e-4, 4e-4))
     base = amended(MECHANISM, [entry("hole_tolerance", "cable_7_plate_0", outward_m=3e-4)])
@@ -80,20 +80,20 @@ def test_tolerances_are_numbers_of_one_cable_hole_or_sensor() -> None:
     assert np.hypot(base.hole_y_m, base.hole_z_m)[6] == pytest.approx(0.0503)
     replay = course(POSES, PUSH)
     sensor = entry("sensor_tolerance", "cable_7", zero_n=0.2, gain=0.01)
-    expected = readings(replay) * (1.0 + 0.01 * own) + 0.2 * own
+    expected = readings(replay) * (1.0 + 0.01 * is_the_cable) + 0.2 * is_the_cable
     np.testing.assert_allclose(readings(replay, sensor), expected, atol=1e-9)
 
 
 def test_with_wrong_joint_zeros_the_actuators_hold_the_lengths_of_other_angles() -> None:
     replay = course(POSES, PUSH)
-    found = readings(
+    read_n = readings(
         replay,
         entry("joint_tolerance", "joint_1", pitch_rad=0.01),
         entry("joint_tolerance", "joint_3", yaw_rad=-0.02),
     )
     zeros_rad = np.array([0.01, 0, 0, 0, 0, -0.02, 0, 0])
     told = solve_equilibrium(MECHANISM, POSES + zeros_rad, PUSH)
-    np.testing.assert_allclose(found, told.tensions_n, atol=1e-6)
+    np.testing.assert_allclose(read_n, told.tensions_n, atol=1e-6)
 
 
 def test_the_actuators_hold_the_lengths_of_the_arm_as_it_was_drawn() -> None:
@@ -192,13 +192,13 @@ def held_by(entries: list[EffectEntry], commanded_m: np.ndarray) -> np.ndarray:
     """Lengths (P, R) that cable 3 of P arms really has under commands (R,) for it."""
     actuation = entries[0].effect.actuation(entries[0].place, side_by_side(entries))
     assert actuation is not None
-    found = []
+    held_m = []
     for row, length in enumerate(commanded_m):
         every = np.where(THIRD, length, 0.5)[None].repeat(len(entries), axis=0)
         after = actuation.step(0.2 * row, every)
         np.testing.assert_array_equal(after[:, ~THIRD], every[:, ~THIRD])
-        found.append(after[:, 2])
-    return np.stack(found, axis=1)
+        held_m.append(after[:, 2])
+    return np.stack(held_m, axis=1)
 
 
 def play(start: float = 0.0, play_m: float = 1e-3) -> EffectEntry:
@@ -207,25 +207,25 @@ def play(start: float = 0.0, play_m: float = 1e-3) -> EffectEntry:
 
 def test_a_play_makes_a_loop_as_wide_as_itself() -> None:
     to_and_fro = 0.01 * np.sin(np.linspace(0.0, 6 * np.pi, 400))
-    found = held_by([play(), play(play_m=2e-3), play(play_m=0.0)], to_and_fro)
+    held = held_by([play(), play(play_m=2e-3), play(play_m=0.0)], to_and_fro)
     rising = np.gradient(to_and_fro) > 0.0
     later = np.arange(400) > 140
     for p, width in enumerate((1e-3, 2e-3)):
-        behind = found[p] - to_and_fro
+        behind = held[p] - to_and_fro
         assert np.abs(behind).max() <= 0.5 * width + 1e-15
         # well after a reversal it lags by half the play, on either side
         fast = later & (np.abs(np.gradient(to_and_fro)) > 3e-4)
         np.testing.assert_allclose(behind[fast & rising], -0.5 * width, atol=1e-15)
         np.testing.assert_allclose(behind[fast & ~rising], 0.5 * width, atol=1e-15)
-    np.testing.assert_array_equal(found[2], to_and_fro)
+    np.testing.assert_array_equal(held[2], to_and_fro)
 
 
 def test_in_a_replay_a_play_changes_what_its_cable_is_held_at() -> None:
     there = bent(2)
     replay = course(np.array([STRAIGHT, there, STRAIGHT]), push(2, [0.0, 5.0, 0.0]))
-    found = readings(replay, play(play_m=2e-4))
+    read_n = readings(replay, play(play_m=2e-4))
     lengths = held_lengths_m(MECHANISM, replay.command_rad)
     sign = np.sign(lengths[1, 2])
     lengths[:, 2] += [0.0, -sign * 1e-4, sign * 1e-4]  # half the play behind, either way
     rest = solve_equilibrium(MECHANISM, replay.command_rad, replay.forces_n, held_m=lengths)
-    np.testing.assert_allclose(found, rest.tensions_n, atol=1e-6)
+    np.testing.assert_allclose(read_n, rest.tensions_n, atol=1e-6)

@@ -133,7 +133,7 @@ def left_over_torques_n_m(mechanism: Mechanism, cases: Cases, rest: Equilibrium)
     count = mechanism.segment_count
     bodies = [model.body(f"segment_{n + 1}").id for n in range(count)]
     sites = [model.site(f"contact_{n + 1}").id for n in range(count)]
-    left = []
+    residuals = []
     for command, forces, q, tensions in zip(
         *cases, rest.joint_angles_rad, rest.tensions_n, strict=True
     ):
@@ -153,8 +153,8 @@ def left_over_torques_n_m(mechanism: Mechanism, cases: Cases, rest: Equilibrium)
         for body, site, force in zip(bodies, sites, forces, strict=True):
             point = data.site_xpos[site]
             mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, applied)
-        left.append(data.qfrc_passive + data.qfrc_actuator + applied - data.qfrc_bias)
-    return np.array(left)
+        residuals.append(data.qfrc_passive + data.qfrc_actuator + applied - data.qfrc_bias)
+    return np.array(residuals)
 
 
 def test_mujoco_finds_nothing_unbalanced() -> None:

@@ -52,7 +52,7 @@ def test_mujoco_agrees(arm: Arm) -> None:
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     joints = [model.joint(name).id for name in arm.joint_names]
-    at = model.jnt_qposadr[joints]
+    addresses = model.jnt_qposadr[joints]
     dofs = model.jnt_dofadr[joints]
     cables = [model.tendon(name).id for name in arm.cable_names]
     segments = range(1, arm.segment_count + 1)
@@ -68,7 +68,7 @@ def test_mujoco_agrees(arm: Arm) -> None:
     gravity = load_torques_n_m(mechanism, q)
     moved = np.zeros((3, model.nv))
     for i, angles in enumerate(q):
-        data.qpos[at] = angles
+        data.qpos[addresses] = angles
         mujoco.mj_forward(model, data)
         dense = np.zeros((model.ntendon, model.nv))
         mujoco.mju_sparse2dense(
@@ -95,9 +95,9 @@ def test_signs_are_those_of_the_base_frame() -> None:
     """Positive pitch lowers the tip and lengthens the upper cable; positive yaw turns it left."""
     mechanism = mechanism_of(ARMS["cdsm"])
     down = kinematics.contact_points_m(mechanism, np.array([0.1, 0, 0, 0, 0, 0, 0, 0]))
-    left = kinematics.contact_points_m(mechanism, np.array([0, 0.1, 0, 0, 0, 0, 0, 0]))
+    turned_left = kinematics.contact_points_m(mechanism, np.array([0, 0.1, 0, 0, 0, 0, 0, 0]))
     assert down[3, 2] < 0
-    assert left[3, 1] > 0
+    assert turned_left[3, 1] > 0
     assert mechanism.hole_z_m[0] > 0
     assert kinematics.cable_jacobian_m(mechanism, np.zeros(8))[0, 0] > 0
 
@@ -123,10 +123,10 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
         np.testing.assert_allclose(pose.by_turns_m[:, :, n], by_turns, atol=1e-8)
     same(pose.axis, chain.rotation[..., 0])
     same(pose.joint_axis, chain.joint_axis)
-    none = np.zeros_like(pose.span_m)
+    zeros = np.zeros_like(pose.span_m)
     still = np.zeros_like(angles)
-    by_span = np.zeros((*none.shape, none.shape[-1]))
-    balance = equilibrium_search.balanced(pose, none, by_span, loads, still, still)
+    by_span = np.zeros((*zeros.shape, zeros.shape[-1]))
+    balance = equilibrium_search.balanced(pose, zeros, by_span, loads, still, still)
     same(-balance.torque_n_m, axis_torques_n_m(chain, loads))
 
     def torque_n_m(q: np.ndarray) -> np.ndarray:

@@ -32,10 +32,10 @@ def test_one_segment_sags_as_its_weight_over_the_stiffness_of_its_cables() -> No
     mechanism = mechanism_of(arm)
     stiffness = (mechanism.stiffness_n_m * mechanism.hole_z_m**2).sum()
     moment = 2.0 * 9.81 * float(mechanism.centre_of_mass_m[0])
-    found = load_capacity(arm)
-    assert found.sag_deg == pytest.approx(math.degrees(moment / stiffness), rel=0.03)
+    capacity = load_capacity(arm)
+    assert capacity.sag_deg == pytest.approx(math.degrees(moment / stiffness), rel=0.03)
     contact_m = float(mechanism.contact_m[0])
-    assert found.sag_m == pytest.approx(math.radians(found.sag_deg) * contact_m, rel=0.01)
+    assert capacity.sag_m == pytest.approx(math.radians(capacity.sag_deg) * contact_m, rel=0.01)
 
 
 def test_a_little_less_than_the_greatest_load_is_borne_and_a_little_more_is_not() -> None:
@@ -100,16 +100,16 @@ def test_without_friction_the_noise_alone_hides() -> None:
     mechanism = mechanism_of(arm)
     angles_deg = np.arange(DIRECTIONS) * 360.0 / DIRECTIONS
     pushes = normal_force_n(mechanism, BENT, 2, angles_deg, 1.0)
-    found = hidden_force(arm, BENT, LOAD_N)
-    for load_n, changes in ((0.0, found.touching_n), (LOAD_N, found.rising_n)):
+    hidden = hidden_force(arm, BENT, LOAD_N)
+    for load_n, changes in ((0.0, hidden.touching_n), (LOAD_N, hidden.rising_n)):
         less, more = (
             solve_equilibrium(mechanism, BENT, (load_n + side) * pushes).tensions_n
             for side in (-1e-3, 1e-3)
         )
         by_force = np.linalg.norm(more - less, axis=-1) / 2e-3
         np.testing.assert_allclose(changes[1], noise_n(arm) / by_force, rtol=0.03, atol=0.005)
-    np.testing.assert_allclose(found.released_n, found.touching_n, rtol=0.01, atol=0.005)
-    np.testing.assert_allclose(found.falling_n, found.rising_n, rtol=0.03, atol=0.005)
+    np.testing.assert_allclose(hidden.released_n, hidden.touching_n, rtol=0.01, atol=0.005)
+    np.testing.assert_allclose(hidden.falling_n, hidden.rising_n, rtol=0.03, atol=0.005)
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_a_slow_push_is_seen_where_it_says() -> None:
     """One arm, pushed up and down again by steps of 20 mN: when does it read anything?"""
     arm = rubbing(0.13)
     step_n = 0.02
-    found = hidden_force(arm, BENT, LOAD_N)
+    hidden = hidden_force(arm, BENT, LOAD_N)
     mechanism = mechanism_of(arm)
     entries = entries_of(arm)
     push = normal_force_n(mechanism, BENT, 3, 0.0, 1.0)[None]
@@ -140,7 +140,7 @@ def test_a_slow_push_is_seen_where_it_says() -> None:
     falling, unloaded = walked(LOAD_N, 0.0, loaded)
     released, _ = walked(0.0, LOAD_N, unloaded)
     for name, seen in (("touching", touching), ("falling", falling), ("released", released)):
-        expected = getattr(found, f"{name}_n")[2, 0]
+        expected = getattr(hidden, f"{name}_n")[2, 0]
         assert seen == pytest.approx(expected, rel=0.05, abs=2 * step_n)
 
 

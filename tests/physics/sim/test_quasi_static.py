@@ -46,11 +46,11 @@ def test_memoryless_it_is_the_static_solver(seed: int) -> None:
             entry("base_tilt", roll_rad=0.1),
         ],
     )
-    found = tensions([MECHANISM, odd], [[], []], commands, loads)
+    tensions_n = tensions([MECHANISM, odd], [[], []], commands, loads)
     held = held_lengths_m(MECHANISM, commands)
     for p, mechanism in enumerate((MECHANISM, odd)):
         rest = solve_equilibrium(mechanism, commands, loads, held_m=held)
-        np.testing.assert_allclose(found[p], rest.tensions_n, atol=1e-3)
+        np.testing.assert_allclose(tensions_n[p], rest.tensions_n, atol=1e-3)
 
 
 def test_a_load_beyond_the_arm_is_refused() -> None:
@@ -81,11 +81,11 @@ def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
     loads = up_and_down(rows=10)
     still = np.repeat(loads[15:16], 40, axis=0)
     replay = course(BENT, np.concatenate([loads[:16], still]))
-    found = readings(replay, FRICTION)
-    at_the_same_load = found[5], found[15]
+    read_n = readings(replay, FRICTION)
+    at_the_same_load = read_n[5], read_n[15]
     assert np.abs(at_the_same_load[0] - at_the_same_load[1]).max() > 0.3
     assert np.abs(readings(replay)[5] - readings(replay)[15]).max() < 1e-6
-    np.testing.assert_array_equal(found[16:], np.repeat(found[15:16], 40, axis=0))
+    np.testing.assert_array_equal(read_n[16:], np.repeat(read_n[15:16], 40, axis=0))
 
 
 @pytest.mark.parametrize(("by_length", "ratios"), [(0.0, 0.5), (1.0, 1.25 / np.arange(1, 5))])
@@ -94,8 +94,8 @@ def test_what_an_actuator_reads_while_the_pulley_holds(by_length, ratios) -> Non
     held = {"coefficient": 0.5, "pulley_wrap_rad": 4.0, "weight_borne": 0.0}
     friction = entry("capstan_friction", run_compliance=0.5, run_by_length=by_length, **held)
     arm = QuasiStaticArm([MECHANISM], [[friction]])
-    none = np.zeros((4, 3))
-    tensions_n = [arm.step(0.0, np.full((1, 12), drawn), none)[0] for drawn in (0.0, -1e-4)]
+    no_load = np.zeros((4, 3))
+    tensions_n = [arm.step(0.0, np.full((1, 12), drawn), no_load)[0] for drawn in (0.0, -1e-4)]
     np.testing.assert_allclose(tensions_n[0], MECHANISM.pretension_n)
     stiffness = MECHANISM.stiffness_n_m * np.repeat(1.0 + 1.0 / (ratios + np.zeros(4)), 3)
     np.testing.assert_allclose(np.diff(tensions_n, axis=0)[0], 1e-4 * stiffness, rtol=1e-6)

@@ -64,10 +64,10 @@ def test_friction_states_at_the_start_are_read_side_by_side_as_alone(name: str) 
     changes = [none, *(none | {each: 0.8} for each in none)]
     every = [replace(sized, values=sized.values | each) for each in changes]
     replay = course(COMMANDS, LOADS)
-    found = replay.readings_n([[each] for each in every])
+    read_n = replay.readings_n([[each] for each in every])
     alone = [readings(replay, each) for each in every]
-    np.testing.assert_allclose(found, alone, atol=1e-3)
-    assert (np.abs(found[1:] - found[0]).max(axis=(1, 2)) > 5e-3).all()
+    np.testing.assert_allclose(read_n, alone, atol=1e-3)
+    assert (np.abs(read_n[1:] - read_n[0]).max(axis=(1, 2)) > 5e-3).all()
 
 
 FRICTION = {"effect": "capstan_friction", "parameters": {"coefficient": 0.1}}
@@ -81,8 +81,8 @@ def test_a_stated_place_is_a_contact_point_there(effects: list[dict[str, object]
     arm = variant({"effects": effects}, "cdsm_lab")
     for at_m in (0.0, 0.03, 0.12):
         there = variant({"effects": effects, "segments.contact_m": max(at_m, 1e-9)}, "cdsm_lab")
-        found = replay_arm(arm, *run, np.full((len(LOADS), 4), at_m))
-        np.testing.assert_allclose(found, replay_arm(there, *run), atol=1e-5)
+        replayed = replay_arm(arm, *run, np.full((len(LOADS), 4), at_m))
+        np.testing.assert_allclose(replayed, replay_arm(there, *run), atol=1e-5)
     unstated = replay_arm(arm, *run, np.full((len(LOADS), 4), np.nan))
     np.testing.assert_array_equal(unstated, replay_arm(arm, *run))
 

@@ -61,8 +61,8 @@ def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
     assert metadata.arm.cable_count == 20
     assert metadata.command.startswith("cablesense train --arm ")
     assert metadata.command.endswith("--seed 0 --threads 1 --out model.onnx")
-    found = json.loads(run("evaluate", "--model", model, "--samples", 300, "--json"))
-    assert found["single"]["magnitude_mae_n"] > found["bound"]["magnitude_mae_n"]
+    figures = json.loads(run("evaluate", "--model", model, "--samples", 300, "--json"))
+    assert figures["single"]["magnitude_mae_n"] > figures["bound"]["magnitude_mae_n"]
 
 
 def test_its_law_finds_contacts_at_the_noise_bound():

@@ -57,13 +57,13 @@ def _truth(segment=2, place_m=0.5 * LENGTH_M[1], force_n=(1.0, 0.0, 20.0)):
 
 
 def test_a_perfect_statement_has_no_error_and_holds():
-    found = stated_contacts(LAB, _truth(), _stated())
-    assert found.answered == found.force_known == found.same_place == 1.0
-    assert found.place_coverage95 == found.force_coverage95 == 1.0
-    assert found.place_mm.rms == pytest.approx(0.0, abs=1e-9)
-    assert found.lateral_n.rms == found.axial_n.rms == 0.0
-    assert found.moment_n_m.rms == pytest.approx(0.0, abs=1e-9)
-    assert found.wrong == 0
+    statements = stated_contacts(LAB, _truth(), _stated())
+    assert statements.answered == statements.force_known == statements.same_place == 1.0
+    assert statements.place_coverage95 == statements.force_coverage95 == 1.0
+    assert statements.place_mm.rms == pytest.approx(0.0, abs=1e-9)
+    assert statements.lateral_n.rms == statements.axial_n.rms == 0.0
+    assert statements.moment_n_m.rms == pytest.approx(0.0, abs=1e-9)
+    assert statements.wrong == 0
 
 
 @pytest.mark.parametrize(
@@ -90,10 +90,10 @@ def test_the_end_of_a_segment_and_the_beginning_of_the_next_are_one_place():
 
 def test_what_is_not_vouched_for_has_no_error():
     unconfirmed = np.array([ContactState.UNCONFIRMED], dtype=object)
-    found = stated_contacts(LAB, _truth(segment=4), _stated(state=unconfirmed))
-    assert found.answered == 0.0
-    assert found.wrong == 0
-    assert np.isnan(found.place_mm.median)
+    statements = stated_contacts(LAB, _truth(segment=4), _stated(state=unconfirmed))
+    assert statements.answered == 0.0
+    assert statements.wrong == 0
+    assert np.isnan(statements.place_mm.median)
 
 
 def test_a_force_at_a_radius_acts_as_on_its_line_of_action(touches):

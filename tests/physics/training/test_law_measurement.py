@@ -45,8 +45,8 @@ def test_readings_of_an_arm_that_is_known_show_the_torques_of_a_push(law):
         lever = answer.at_joint_m[2] + push.place_m * answer.by_place[2]
         np.testing.assert_allclose(np.array(push.force_n) @ lever, torque, atol=1e-8)
         np.testing.assert_allclose(inferred_torque(answer), torque, atol=1e-8)
-        left = answer.innovation_n - answer.by_torque @ torque
-        np.testing.assert_allclose(left, 0.0, atol=1e-7)
+        residual_n = answer.innovation_n - answer.by_torque @ torque
+        np.testing.assert_allclose(residual_n, 0.0, atol=1e-7)
 
 
 def test_so_do_readings_some_of_which_are_zero_as_their_cables_are_slack(lab):
@@ -59,8 +59,8 @@ def test_so_do_readings_some_of_which_are_zero_as_their_cables_are_slack(lab):
         slack.append((rest.tensions_n == 0.0).sum())
         answer = lab.answer(lab.parameters.read(theta, rest.tensions_n), command, theta)
         np.testing.assert_allclose(inferred_torque(answer), torque, atol=1e-6)
-        left = answer.innovation_n - answer.by_torque @ torque
-        np.testing.assert_allclose(left, 0.0, atol=1e-6)
+        residual_n = answer.innovation_n - answer.by_torque @ torque
+        np.testing.assert_allclose(residual_n, 0.0, atol=1e-6)
     assert 1 <= max(slack) <= 4
 
 

@@ -22,10 +22,10 @@ def test_touched_segments_are_recognised_and_forces_stated_with_their_errors(est
     dataset = draw_dataset(CDSM, MultiContact(samples=1000), seed=1)
     said = estimator.estimate_batch(dataset.tension_difference_n)
     assert said.probabilities.shape == said.magnitude_n.shape == (1000, 4)
-    found = said.probabilities > 0.5
+    recognised = said.probabilities > 0.5
     firm = ~dataset.contacts | (dataset.magnitudes_n > 5.0)
-    assert (found == dataset.contacts)[firm].mean() > 0.99
-    right = found & dataset.contacts
+    assert (recognised == dataset.contacts)[firm].mean() > 0.99
+    right = recognised & dataset.contacts
     off_n = np.abs(said.magnitude_n - dataset.magnitudes_n)[right]
     assert np.median(off_n) < 1.0
     assert 0.9 < (off_n < 1.96 * said.magnitude_std_n[right]).mean() < 0.99

@@ -42,8 +42,8 @@ def test_one_segment_of_equal_cables_has_an_analytic_bound():
     contact = mechanism.contact_m[0]
     variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
     expected = 1.5 * variance * (radius / contact) ** 2 * np.eye(2)
-    found = force_covariance_n2(dataset)[:, 0]
-    np.testing.assert_allclose(found - expected, 0.0, atol=1e-3 * expected[0, 0])
+    covariance_n2 = force_covariance_n2(dataset)[:, 0]
+    np.testing.assert_allclose(covariance_n2 - expected, 0.0, atol=1e-3 * expected[0, 0])
 
 
 @pytest.mark.slow

@@ -21,8 +21,8 @@ DATASET = ("dataset", "--samples", "50000000", "--workers", "2", "--out", "out/d
 def descendants(pid: int) -> list[int]:
     """Worker processes, and those that Python starts for them."""
     children = Path(f"/proc/{pid}/task/{pid}/children")
-    found = [int(child) for child in children.read_text().split()] if children.exists() else []
-    return [*found, *(each for child in found for each in descendants(child))]
+    pids = [int(child) for child in children.read_text().split()] if children.exists() else []
+    return [*pids, *(each for child in pids for each in descendants(child))]
 
 
 def at_work(process: subprocess.Popen[str]) -> list[int]:

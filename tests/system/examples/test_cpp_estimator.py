@@ -42,8 +42,8 @@ def onnx_runtime():
     if shutil.which("pkg-config") is None or shutil.which("g++") is None:
         return None
     asked = ["pkg-config", "--cflags", "--libs", "libonnxruntime"]
-    found = subprocess.run(asked, capture_output=True, text=True, check=False)
-    return found.stdout.split() if found.returncode == 0 else None
+    answered = subprocess.run(asked, capture_output=True, text=True, check=False)
+    return answered.stdout.split() if answered.returncode == 0 else None
 
 
 @pytest.mark.slow

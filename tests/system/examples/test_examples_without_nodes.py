@@ -34,8 +34,8 @@ def test_friction_of_an_own_robot_is_found(tmp_path, capsys):
     own_robot.main(*own_robot.planted(tmp_path))
     said = capsys.readouterr().out
     assert "effects: joint_friction (" in said
-    found = re.search(r"torque_n_m: (\S+) N·m", said)[1]
-    assert float(found) == pytest.approx(own_robot.FRICTION_N_M[1], rel=0.05)
+    friction_text = re.search(r"torque_n_m: (\S+) N·m", said)[1]
+    assert float(friction_text) == pytest.approx(own_robot.FRICTION_N_M[1], rel=0.05)
 
 
 def test_a_step_backs_off_above_the_threshold_and_up_to_the_limit():

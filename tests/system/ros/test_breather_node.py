@@ -22,13 +22,13 @@ def arm(graph, start):
 
 
 def status(graph, name):
-    found = graph.statuses.get(name)
-    return found.message if found else ""
+    shown = graph.statuses.get(name)
+    return shown.message if shown else ""
 
 
 def breaths(graph):
-    found = graph.statuses.get("breather: breathing")
-    return found and {value.key: value.value for value in found.values}["breaths"]
+    shown = graph.statuses.get("breather: breathing")
+    return shown and {value.key: value.value for value in shown.values}["breaths"]
 
 
 def further(graph, before):

@@ -87,8 +87,8 @@ def feed_again(graph):
 
 def reported(graph, name):
     """The last message of diagnostics under a name; empty before the first report."""
-    found = graph.statuses.get(name)
-    return found.message if found is not None else ""
+    status_message = graph.statuses.get(name)
+    return status_message.message if status_message is not None else ""
 
 
 def ask(graph, fault):

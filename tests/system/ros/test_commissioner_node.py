@@ -27,8 +27,8 @@ def run(graph, start):
 
 
 def status(graph):
-    found = graph.statuses.get(STATUS)
-    return found.message if found else ""
+    status_message = graph.statuses.get(STATUS)
+    return status_message.message if status_message else ""
 
 
 def begin(graph):

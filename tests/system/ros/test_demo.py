@@ -120,12 +120,12 @@ def test_breathing_keeps_an_arm_that_is_asked_for(tmp_path, monkeypatch):
     ("screens", "opened"), [({}, []), ({"DISPLAY": ":0"}, ["http://page/"])], ids=["none", "X"]
 )
 def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
-    found = []
-    monkeypatch.setattr(demo.webbrowser, "open", found.append)
+    addresses = []
+    monkeypatch.setattr(demo.webbrowser, "open", addresses.append)
     monkeypatch.setattr(demo.sys, "platform", "linux")
     monkeypatch.setattr(demo.os, "environ", screens)
     demo._open_in_browser("http://page/")
-    assert found == opened
+    assert addresses == opened
 
 
 def test_a_minute_visits_every_segment_straight_and_bent():
@@ -192,12 +192,12 @@ def exact(push):
 def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
     script = make_script(REACH_M, 60.0, seed=0)
     played, results = results_of(script, exact)
-    found = summary(results)
-    assert found["segment_right"] == found["pushes"] == len(script)
-    assert found["direction_mae_deg"] == pytest.approx(0.0, abs=1e-9)
-    assert found["magnitude_mae_n"] == pytest.approx(0.0, abs=1e-9)
-    assert found["place_mae_mm"] == pytest.approx(0.0, abs=1e-9)
-    assert found["moment_mae_n_m"] is None
+    summarised = summary(results)
+    assert summarised["segment_right"] == summarised["pushes"] == len(script)
+    assert summarised["direction_mae_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert summarised["magnitude_mae_n"] == pytest.approx(0.0, abs=1e-9)
+    assert summarised["place_mae_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert summarised["moment_mae_n_m"] is None
     output = io.StringIO()
     Console(file=output, width=80).print(results_table(results))
     for push, plain in zip(script, metrics(results)["pushes"], strict=True):
@@ -219,13 +219,13 @@ def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
     other = shown(script[0].contact.segment - 1)
     _, (wrong,) = results_of(script, lambda _: other)
     _, (silent,) = results_of(script, exact, unknown=ForceState.SILENT)
-    _, (none,) = results_of(script, lambda _: None)
+    _, (no_contacts,) = results_of(script, lambda _: None)
     assert not wrong.segment_right
     assert summary([wrong])["magnitude_mae_n"] is None
-    assert (silent.sample_count, none.estimate) == (0, None)
-    assert none.sample_count > 10
+    assert (silent.sample_count, no_contacts.estimate) == (0, None)
+    assert no_contacts.sample_count > 10
     output = io.StringIO()
-    Console(file=output, width=80).print(results_table([silent, none]))
+    Console(file=output, width=80).print(results_table([silent, no_contacts]))
     assert "no estimate" in output.getvalue()
     assert "no contact" in output.getvalue()
 
@@ -276,20 +276,20 @@ def test_the_report_counts_truths_in_their_stated_intervals(force_n, place_m, li
     played, _ = results_of(script, exact)
     results = push_results(script, with_intervals(played, force_n, place_m))
     assert coverage_line(results).endswith(line)
-    found = metrics(results)
-    assert found["summary"]["force_intervals"] == 1
-    assert len(found["pushes"][0]["force_ci95_n"]) == 2
+    figures = metrics(results)
+    assert figures["summary"]["force_intervals"] == 1
+    assert len(figures["pushes"][0]["force_ci95_n"]) == 2
 
 
 def test_a_built_arm_is_commissioned_pushed_and_reported(tmp_path, capfd):
     """By simulated sensors; test_kills.py has the chain through CAN frames."""
     run_headless(DemoOptions(out=tmp_path), duration_s=4.0, as_json=True)
     out, said = capfd.readouterr()
-    found = json.loads(out)
+    report = json.loads(out)
     known_n = [float(each) for each in re.findall(r"±([0-9.]+)\s+N", said)]
     assert 0.0 < known_n[1] < known_n[0]  # after the tare, and after the commissioning
-    assert found["summary"]["pushes"] == found["summary"]["segment_right"] == 1
-    assert found["summary"]["place_covered"] == found["summary"]["force_covered"] == 1
-    assert found["summary"]["magnitude_mae_n"] < 2.0
-    assert found["summary"]["place_mae_mm"] < 3.0
+    assert report["summary"]["pushes"] == report["summary"]["segment_right"] == 1
+    assert report["summary"]["place_covered"] == report["summary"]["force_covered"] == 1
+    assert report["summary"]["magnitude_mae_n"] < 2.0
+    assert report["summary"]["place_mae_mm"] < 3.0
     assert (tmp_path / "demo.png").is_file()

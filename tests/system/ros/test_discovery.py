@@ -101,7 +101,7 @@ def bound(pid):
             inodes.add(str(link.readlink()).removeprefix("socket:[").removesuffix("]"))
         except OSError:  # closed in the meantime
             continue
-    found = set()
+    addresses = set()
     for kind in ("tcp", "tcp6", "udp", "udp6"):
         for line in Path(f"/proc/{pid}/net/{kind}").read_text().splitlines()[1:]:
             fields = line.split()
@@ -111,8 +111,8 @@ def bound(pid):
                     struct.pack("<I", int(number[i : i + 8], 16)) for i in range(0, len(number), 8)
                 )
                 family = socket.AF_INET if len(packed) == 4 else socket.AF_INET6
-                found.add((kind, socket.inet_ntop(family, packed), int(port, 16)))
-    return found
+                addresses.add((kind, socket.inet_ntop(family, packed), int(port, 16)))
+    return addresses
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="looks in Linux's /proc")
@@ -124,7 +124,7 @@ def test_a_node_of_the_demo_waits_on_loopback_alone(monkeypatch, tmp_path):
     command = node_command("page", {"port": 18080})
     with Process("page", command, tmp_path / "log", environment) as node:
         wait_until(lambda: "page: " in node.log, 60.0, "the page is not ready", node.check)
-        found = bound(node.pid)
-    assert len([kind for kind, _, _ in found if kind.startswith("tcp")]) == 1
-    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in found)
-    assert {address for _, address, _ in found} <= {"127.0.0.1", "::1"}
+        addresses = bound(node.pid)
+    assert len([kind for kind, _, _ in addresses if kind.startswith("tcp")]) == 1
+    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in addresses)
+    assert {address for _, address, _ in addresses} <= {"127.0.0.1", "::1"}

@@ -118,9 +118,9 @@ def test_one_message_has_state_wrench_interval_and_place(graph, start, estimate_
 
     def of_sample(messages, estimate):
         stamp = estimate.header.stamp
-        found = lambda: [one for one in messages[-99:] if one.header.stamp == stamp]  # noqa: E731
-        graph.until(found, "the message of a sample")
-        return found()[0]
+        of_stamp = lambda: [one for one in messages[-99:] if one.header.stamp == stamp]  # noqa: E731
+        graph.until(of_stamp, "the message of a sample")
+        return of_stamp()[0]
 
     def pushed(segment, state):
         """An estimate of 40 N in this state; other topics say the same of its sample."""

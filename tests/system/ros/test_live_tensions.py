@@ -44,8 +44,8 @@ def sim(start_for_all):
 
 
 def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted(sim):
-    at = ("--namespace", "left", "--rate", "100")
-    result = check("--seconds", "2", "--pull", "cable_3", *at, "--json")
+    options = ("--namespace", "left", "--rate", "100")
+    result = check("--seconds", "2", "--pull", "cable_3", *options, "--json")
     content = json.loads(result.stdout)
     assert {finding["kind"] for finding in content["findings"]} <= {"pull", "jitter", "lost"}
     assert content["timing"]["rate_hz"] == pytest.approx(100.0, rel=0.05)

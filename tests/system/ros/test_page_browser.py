@@ -83,10 +83,10 @@ class Tab:
                 return answer["result"]
 
     def evaluate(self, script):
-        found = self.call(
+        answer = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
-        return found["result"].get("value")
+        return answer["result"].get("value")
 
     def wait_for(self, script, what, timeout_s=PATIENCE_S):
         until = time.monotonic() + timeout_s
@@ -139,12 +139,12 @@ class Browser(Tab):
         lines = []
         for line in self._process.stderr:
             lines.append(line)
-            found = re.search(r"DevTools listening on ws://([^/]+)/", line)
-            if found:
+            address = re.search(r"DevTools listening on ws://([^/]+)/", line)
+            if address:
                 break
         else:
             pytest.fail(f"{program} did not start: {''.join(lines)[-500:]}")
-        self._tabs = f"http://{found[1]}/json"
+        self._tabs = f"http://{address[1]}/json"
         with urllib.request.urlopen(self._tabs) as answer:
             tabs = json.load(answer)
         super().__init__(next(t for t in tabs if t["type"] == "page")["webSocketDebuggerUrl"])

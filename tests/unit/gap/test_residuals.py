@@ -28,14 +28,14 @@ SIDES = np.select([BRANCH == 1, BRANCH == 2], [1.0, -1.0])[:, None] * np.ones(12
 
 
 def parts(planted, group):
-    found = decompose(SMALL, NOISE + planted, FLOOR_N, LAB)
-    return {part.member: part for part in found.of_group(group)}
+    parts_found = decompose(SMALL, NOISE + planted, FLOOR_N, LAB)
+    return {part.member: part for part in parts_found.of_group(group)}
 
 
 def test_an_offset_of_one_cable_is_systematic_and_in_that_cable():
-    found = parts(-2.0 * np.eye(12)[6], "cable")
-    assert max(found, key=lambda name: found[name].rms_n) == "cable_7"
-    part = found["cable_7"]
+    share = parts(-2.0 * np.eye(12)[6], "cable")
+    assert max(share, key=lambda name: share[name].rms_n) == "cable_7"
+    part = share["cable_7"]
     assert part.mean_n == pytest.approx(-2.0, abs=0.03)
     assert part.systematic_share > 0.99
     assert part.over_floor == pytest.approx(20.0, rel=0.02)
@@ -50,9 +50,9 @@ def test_a_pull_on_all_cables_of_a_segment_is_common_mode():
 
 
 def test_hysteresis_shows_as_a_loop_and_an_elastic_residual_does_not():
-    found = loop_n(SMALL, 0.7 * SIDES)
-    assert found.shape == (8 * 4, 12)  # trials, and levels of each; without a load it is zero
-    assert np.abs(found).max() == pytest.approx(0.7)
+    loop = loop_n(SMALL, 0.7 * SIDES)
+    assert loop.shape == (8 * 4, 12)  # trials, and levels of each; without a load it is zero
+    assert np.abs(loop).max() == pytest.approx(0.7)
     elastic = np.linalg.norm(SMALL.load_n, axis=1)[:, None] * np.ones(12)
     np.testing.assert_allclose(loop_n(SMALL, elastic), 0.0, atol=1e-12)
 
@@ -77,14 +77,14 @@ def regimes_of(planted):
     ids=str,
 )
 def test_the_regime_of_a_planted_gap_is_named(planted, named):
-    found = regimes_of(1.0 * ROWS[planted][:, None] if isinstance(planted, tuple) else planted)
-    assert set(named) <= set(found)
-    assert bool(named) == bool(found)
+    regime = regimes_of(1.0 * ROWS[planted][:, None] if isinstance(planted, tuple) else planted)
+    assert set(named) <= set(regime)
+    assert bool(named) == bool(regime)
 
 
 def test_a_gap_of_loads_far_from_the_joint_is_named_where_places_are_stated():
     far = PLACED.load_at_m == PLACES_M[2]
-    found = regimes(decompose(PLACED, NOISE + far[:, None], FLOOR_N, LAB))
-    assert "loads far from the joint" in found
+    named_regimes = regimes(decompose(PLACED, NOISE + far[:, None], FLOOR_N, LAB))
+    assert "loads far from the joint" in named_regimes
     places = [rows for group, _, rows in row_groups(PLACED, LAB) if group == LOAD_PLACE]
     np.testing.assert_array_equal(np.sum(places, axis=0), PLACED.load_segment > 0)

@@ -70,9 +70,9 @@ def test_verdicts_lie_in_folders_or_as_files(tmp_path):
     write_verdict(tmp_path / "rec_01" / "verdict.json", verdict_of("none"))
     write_verdict(tmp_path / "rec_02.json", verdict_of("payload"))
     (tmp_path / "notes.json").write_text("{}")
-    found = read_verdicts(tmp_path, ["rec_01", "rec_02"])
-    assert found["rec_01"].effects == ("none",)
-    assert found["rec_02"].effects == ("payload",)
+    verdicts = read_verdicts(tmp_path, ["rec_01", "rec_02"])
+    assert verdicts["rec_01"].effects == ("none",)
+    assert verdicts["rec_02"].effects == ("payload",)
     with pytest.raises(ScoreError, match=r"no verdict on rec_03;"):
         read_verdicts(tmp_path, ["rec_01", "rec_03", "rec_04"])
     with pytest.raises(VerdictError):
@@ -129,9 +129,9 @@ VERDICTS = {
 
 
 def test_every_count_is_the_one_done_by_hand():
-    found = score(VERDICTS, ANSWERS)
+    scores = score(VERDICTS, ANSWERS)
     counts = {
-        name: (getattr(found, name).hits, getattr(found, name).count)
+        name: (getattr(scores, name).hits, getattr(scores, name).count)
         for name in (
             "exact",
             "top2",
@@ -157,11 +157,11 @@ def test_every_count_is_the_one_done_by_hand():
         "unknown_recall": (1, 1),
         "where": (1, 2),  # a, and c lacks a cable
     }
-    assert found.cases == 8
-    assert found.wrong == ("b", "d", "g")
-    assert found.confusion["base_tilt+payload"] == {"payload": 1, "base_tilt+payload": 1}
-    assert found.confusion["none"] == {"none": 1, "unknown": 1}
-    assert found.by_effect["sensor_gain"].value == 0.5
+    assert scores.cases == 8
+    assert scores.wrong == ("b", "d", "g")
+    assert scores.confusion["base_tilt+payload"] == {"payload": 1, "base_tilt+payload": 1}
+    assert scores.confusion["none"] == {"none": 1, "unknown": 1}
+    assert scores.by_effect["sensor_gain"].value == 0.5
 
 
 def test_missing_verdicts_and_answers_are_refused():
@@ -184,7 +184,7 @@ def test_budgets_count_effects_names_and_shares():
         (verdict_of("unknown"), Truth("b", ("sensor_gain",), each_gap_n=(3.0,))),
         (verdict_of("payload"), Truth("c", ("unknown",), each_gap_n=(3.0,))),
     ]
-    found = budget_score(cases)
-    assert (found.named.hits, found.named.count) == (1, 3)  # the tilt is below five floors
-    assert (found.false_names.hits, found.false_names.count) == (1, 2)
-    assert (found.shares.hits, found.shares.count) == (1, 1)
+    budget = budget_score(cases)
+    assert (budget.named.hits, budget.named.count) == (1, 3)  # the tilt is below five floors
+    assert (budget.false_names.hits, budget.false_names.count) == (1, 2)
+    assert (budget.shares.hits, budget.shares.count) == (1, 1)

@@ -192,12 +192,12 @@ OTHERS = [cable for cable in PACKED.channels if cable not in TWO]
 
 
 def test_cables_get_their_scale_and_zero_and_uncalibrated_ones_keep_the_maps():
-    found = calibrated(PACKED, PACKED_DATABASE, calibration(WHOLE), "c.yaml")
-    assert found.cable_names == PACKED.cable_names
-    assert {c.tension_n(5.0) for c in found.channels.values()} == {10.0}
-    found = calibrated(PACKED, PACKED_DATABASE, calibration(TWO, OTHERS), "c.yaml")
-    assert found.channels["cable_11"].zero == -3.0
-    assert found.channels["cable_1"] == PACKED.channels["cable_1"]
+    scaled_map = calibrated(PACKED, PACKED_DATABASE, calibration(WHOLE), "c.yaml")
+    assert scaled_map.cable_names == PACKED.cable_names
+    assert {c.tension_n(5.0) for c in scaled_map.channels.values()} == {10.0}
+    scaled_map = calibrated(PACKED, PACKED_DATABASE, calibration(TWO, OTHERS), "c.yaml")
+    assert scaled_map.channels["cable_11"].zero == -3.0
+    assert scaled_map.channels["cable_1"] == PACKED.channels["cable_1"]
 
 
 @pytest.mark.parametrize(

@@ -161,9 +161,9 @@ def test_a_channel_that_stands_still_while_the_others_move_is_found_and_released
     watch = StuckDetector(12, StuckLimits(after_s=2.0, others_moved_n=20.0))
     moving = np.linspace(50.0, 100.0, 40)[:, None] * np.ones(12)
     moving[:, 4] = 50.0
-    found = [watch.stuck(sample, 0.1 * i) for i, sample in enumerate(moving)]
-    assert found[19] == []  # two seconds have not passed
-    assert found[-1] == [4]
+    stuck = [watch.stuck(sample, 0.1 * i) for i, sample in enumerate(moving)]
+    assert stuck[19] == []  # two seconds have not passed
+    assert stuck[-1] == [4]
     back = np.full(12, 50.0)
     assert watch.stuck(back, 5.0) == [4]  # the others came back; it has still not moved
     back[4] = 50.1

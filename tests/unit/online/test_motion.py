@@ -75,11 +75,11 @@ def test_stamps_that_step_back_keep_what_is_left_to_wait():
     watched = gate()
     watched.command(np.array([0.0, 0.3]))
     watched.moving(3600 * S, now_s=0.0)
-    left = watched.motion.rest_from_ns - 3600 * S
+    remaining_ns = watched.motion.rest_from_ns - 3600 * S
     assert watched.moving(5 * S, now_s=0.0)
     assert watched.motion.stepped == -1
-    assert watched.moving(5 * S + left - MS, now_s=left * 1e-9 - 1e-3)
-    assert not watched.moving(5 * S + left, now_s=left * 1e-9)
+    assert watched.moving(5 * S + remaining_ns - MS, now_s=remaining_ns * 1e-9 - 1e-3)
+    assert not watched.moving(5 * S + remaining_ns, now_s=remaining_ns * 1e-9)
 
 
 def test_stamps_that_step_forward_do_not_end_the_wait():

@@ -166,9 +166,9 @@ def test_an_estimate_acts_where_its_torque_says_within_its_region(live):
     receive(live, ForceState.CONTACT, 1.0, WRENCH=stated)
     live.take(topics.CONTACT_REGION, region("segment_3", 0.094, 0.086), 1.0)
     shown = live.snapshot(1.0)
-    (found,) = shown.estimated
-    assert (found.contact_m, found.along_n) == (pytest.approx(0.09), 2.0)
-    assert found.magnitude_n == pytest.approx(np.hypot(20.0, 10.0))
+    (estimated,) = shown.estimated
+    assert (estimated.contact_m, estimated.along_n) == (pytest.approx(0.09), 2.0)
+    assert estimated.magnitude_n == pytest.approx(np.hypot(20.0, 10.0))
     assert shown.region == (pytest.approx(PlaceInterval(3, 0.086, 0.094)),)
     receive(live, ForceState.FREE, 1.1)
     assert live.snapshot(1.1).region == ()

@@ -19,7 +19,7 @@ def test_a_study_alone_makes_a_report(tmp_path):
     result = invoke("--out", str(tmp_path / "report"), "--quick", "--only", "displacement")
     assert result.exit_code == 0, result.output
     results = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
-    assert [found["name"] for found in results["studies"]] == ["displacement"]
+    assert [studies_done["name"] for studies_done in results["studies"]] == ["displacement"]
     assert (tmp_path / "report" / "report.html").is_file()
 
 

@@ -52,9 +52,9 @@ def written(tmp_path, change=lambda lines: lines):
 
 def in_cell(row, column, value):
     def change(lines):
-        at = lines[0].split(",").index(column)
+        index = lines[0].split(",").index(column)
         cells = lines[row].split(",")
-        cells[at] = value
+        cells[index] = value
         return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
 
     return change

@@ -58,8 +58,8 @@ def bag(path, *calls, rest_s=1.0):
     """A bag of some calls of `Bag`, one a tenth of a second."""
     with Bag(path) as writer:
         for i, (method, *arguments) in enumerate(calls, start=1):
-            at = round((rest_s + 0.1 * i) * S)
-            stamps = (at,) if method == "trial" else (at, at)
+            stamp_ns = round((rest_s + 0.1 * i) * S)
+            stamps = (stamp_ns,) if method == "trial" else (stamp_ns, stamp_ns)
             put(writer, method, *stamps, *arguments)
     return path
 

@@ -105,13 +105,13 @@ def test_a_file_cut_anywhere_gives_all_but_its_last_chunk(whole, share, tmp_path
 def _layout(content):
     """Where chunks end, and where the data do."""
     ends = []
-    at = 8
-    while content[at] != 15:
-        length = int.from_bytes(content[at + 1 : at + 9], "little")
-        if content[at] == 6:
-            ends.append(at + 9 + length)
-        at += 9 + length
-    return ends, at
+    offset = 8
+    while content[offset] != 15:
+        length = int.from_bytes(content[offset + 1 : offset + 9], "little")
+        if content[offset] == 6:
+            ends.append(offset + 9 + length)
+        offset += 9 + length
+    return ends, offset
 
 
 @pytest.mark.slow

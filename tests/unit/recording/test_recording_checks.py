@@ -100,12 +100,12 @@ def test_gross_effects_of_an_arm_are_no_fault_of_the_recording(changes):
     ],
 )
 def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, said):
-    found = check_recording(broken, LAB)
-    assert of_kind(found, kind), found
-    assert refused(found)
-    assert found[0].refuses
+    findings = check_recording(broken, LAB)
+    assert of_kind(findings, kind), findings
+    assert refused(findings)
+    assert findings[0].refuses
     with pytest.raises(RecordingError, match=said):
-        refuse_unusable(broken, found)
+        refuse_unusable(broken, findings)
 
 
 @pytest.mark.parametrize(
@@ -117,9 +117,9 @@ def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, sai
     ],
 )
 def test_what_is_odd_is_a_warning(odd, kind, said):
-    found = check_recording(odd, LAB)
-    assert not refused(found)
-    assert any(said in finding.text for finding in of_kind(found, kind)), found
+    findings = check_recording(odd, LAB)
+    assert not refused(findings)
+    assert any(said in finding.text for finding in of_kind(findings, kind)), findings
 
 
 @pytest.mark.parametrize(("one", "other"), [(1, 2), (2, 9), (5, 12)])
@@ -157,12 +157,12 @@ def test_a_dead_and_a_dying_channel_are_stuck():
 
 def test_saturation_is_found_with_and_without_a_stated_range():
     clipped = with_tensions(lambda t: np.minimum(t, 90.0))
-    found = of_kind(check_recording(clipped, LAB, NOMINAL), "saturated")
-    assert any(finding.text.startswith("tension_1_n does not exceed 90 N") for finding in found)
+    findings = of_kind(check_recording(clipped, LAB, NOMINAL), "saturated")
+    assert any(finding.text.startswith("tension_1_n does not exceed 90 N") for finding in findings)
     sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 90.0)})
     stated = LAB.model_copy(update={"sensors": sensors})
-    found = of_kind(check_recording(clipped, stated), "saturated")
-    assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in found)
+    findings = of_kind(check_recording(clipped, stated), "saturated")
+    assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in findings)
 
 
 def test_another_arm_and_other_units_are_refused():
@@ -175,9 +175,9 @@ def test_another_arm_and_other_units_are_refused():
         (rng.normal(50.0, 10.0, NOMINAL.shape), "arm"),
         (NOMINAL / 9.81, "unit"),
     ):
-        found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
-        assert refused(found)
-        assert of_kind(found, kind), found
+        findings = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
+        assert refused(findings)
+        assert of_kind(findings, kind), findings
 
 
 def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_path):
@@ -192,7 +192,7 @@ def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_pat
 @pytest.mark.parametrize(("factor", "kind"), [(1000.0, "milliseconds"), (30.0, "rate")])
 def test_times_in_another_unit_or_of_another_rate_are_named(factor, kind):
     made = small_recording()
-    (found,) = check_form(replace(made, time_s=factor * made.time_s), LAB)
-    assert found.kind == kind
-    assert found.refuses == (kind == "milliseconds")
+    (findings,) = check_form(replace(made, time_s=factor * made.time_s), LAB)
+    assert findings.kind == kind
+    assert findings.refuses == (kind == "milliseconds")
     assert not check_form(made, LAB)

@@ -47,8 +47,8 @@ def two_topics(path, table, first, second, efforts=True):
     with Bag(path) as bag:
         for at_ns, names, fields in states(table):
             for late, topic in enumerate(topics):
-                own = fields if efforts or topic == first else {"position": fields["position"]}
-                bag.joint_state(topic, at_ns + late, at_ns, names, **own)
+                given = fields if efforts or topic == first else {"position": fields["position"]}
+                bag.joint_state(topic, at_ns + late, at_ns, names, **given)
     return path
 
 
@@ -187,8 +187,8 @@ def test_joints_in_messages_of_their_own_are_merged(tmp_path, table, robot, topi
             for joint, topic in enumerate(topics):
                 if joint and k % 2:  # the second driver is half as fast
                     continue
-                own = {name: values[joint : joint + 1] for name, values in fields.items()}
-                bag.joint_state(topic, at_ns + joint, at_ns, [JOINTS[joint]], **own)
+                given = {name: values[joint : joint + 1] for name, values in fields.items()}
+                bag.joint_state(topic, at_ns + joint, at_ns, [JOINTS[joint]], **given)
     recording = read_recording(path, robot)
     expected = table[::2]
     assert recording.time_s == pytest.approx(expected.time_s - expected.time_s.iloc[0])
@@ -205,8 +205,8 @@ def test_nothing_is_merged_across_a_pause_of_one_driver(tmp_path, table, robot):
             for joint in range(2):
                 if joint == 0 and 80 <= k < 120:
                     continue
-                own = {name: values[joint : joint + 1] for name, values in fields.items()}
-                bag.joint_state("/joint_states", at_ns + joint, at_ns, [JOINTS[joint]], **own)
+                given = {name: values[joint : joint + 1] for name, values in fields.items()}
+                bag.joint_state("/joint_states", at_ns + joint, at_ns, [JOINTS[joint]], **given)
     recording = read_recording(path, robot)
     expected = table.drop(index=range(80, 120))
     assert recording.position[:, 1] == pytest.approx(expected["position.elbow"])
@@ -241,8 +241,8 @@ def test_rows_begin_where_efforts_do(tmp_path, table, robot, efforts):
     path = tmp_path / "late.mcap"
     with Bag(path) as bag:
         for k, (at_ns, names, fields) in enumerate(states(table)):
-            own = fields | {"effort": efforts} if k < 50 else fields
-            bag.joint_state("/joint_states", at_ns, at_ns, names, **own)
+            message_fields = fields | {"effort": efforts} if k < 50 else fields
+            bag.joint_state("/joint_states", at_ns, at_ns, names, **message_fields)
     recording = read_recording(path, robot)
     assert len(recording) == len(table) - 50
     expected = "The first 50 of 200 rows are left out, before all torques have begun."
@@ -291,9 +291,9 @@ def test_drivers_with_other_clocks_are_ordered_by_arrival(tmp_path, table, robot
     with Bag(path) as bag:
         for at_ns, _, fields in states(table):
             for joint in range(2):
-                own = {name: values[joint : joint + 1] for name, values in fields.items()}
+                given = {name: values[joint : joint + 1] for name, values in fields.items()}
                 stamp_ns = at_ns + joint * 1_000 * START_NS
-                bag.joint_state("/joint_states", at_ns, stamp_ns, [JOINTS[joint]], **own)
+                bag.joint_state("/joint_states", at_ns, stamp_ns, [JOINTS[joint]], **given)
     recording = read_recording(path, robot)
     assert recording.position[:, 1] == pytest.approx(table["position.elbow"])
     assert "Stamps are of several clocks, so the times of arrival count." in recording.notes

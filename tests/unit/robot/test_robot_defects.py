@@ -34,8 +34,8 @@ def robot(folder):
 @pytest.fixture(scope="module")
 def table(folder):
     whole = pd.read_csv(recorded(folder / "recording.csv", trials=3))
-    own = whole.filter(regex="time_s|trial|position|torque")
-    return own.assign(time_s=np.arange(len(own)) * 0.01)
+    channels = whole.filter(regex="time_s|trial|position|torque")
+    return channels.assign(time_s=np.arange(len(channels)) * 0.01)
 
 
 def as_csv(path, table):

@@ -44,8 +44,8 @@ def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
     named = verdict_of(effects, gap=gap, channels=channels, rows=9, **more)
     named = named.model_copy(update={"unit": "floors"})
     nothing = np.zeros_like(system.readings)
-    found = RobotDiagnosis(system, named, {}, nothing, nothing, (), {})
-    page = " ".join(robot_page(found, "folder").split())
+    diagnosis = RobotDiagnosis(system, named, {}, nothing, nothing, (), {})
+    page = " ".join(robot_page(diagnosis, "folder").split())
     assert says in page
     assert never not in page
 

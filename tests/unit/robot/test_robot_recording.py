@@ -156,10 +156,12 @@ def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_p
             position = [row[f"position.{name}"] for name in names]
             stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
             bag.joint_state(CABLE_TENSIONS, 10 * k + 3, stamp_ns, names, position=position)
-    found = read_recording(path, robot)
-    assert np.ptp(found.time_s) == pytest.approx(table.time_s[59] - table.time_s[20])
-    assert found.command[:, 1] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
-    assert "The first 20 of 60 rows are left out, before all commands have begun." in found.notes
+    recording = read_recording(path, robot)
+    assert np.ptp(recording.time_s) == pytest.approx(table.time_s[59] - table.time_s[20])
+    assert recording.command[:, 1] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
+    assert (
+        "The first 20 of 60 rows are left out, before all commands have begun." in recording.notes
+    )
     numbered, _ = bag_table(path, channels_of(robot))
     assert (np.diff(numbered["trial"]) != 0).nonzero()[0].tolist() == [29]
 
@@ -214,12 +216,12 @@ def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
     path.write_text(URDF)
     robot = load_robot(path)
     assert (robot.joints, robot.bodies) == (("turn",), ("arm",))
-    found = {
+    named_values = {
         Term("link_mass", "arm", "share"): 0.25,
         Term("joint_friction", "turn", "torque_n_m"): 0.3,
         Term("torque_scale", "turn", "share"): 0.1,
     }
-    write_amended(tmp_path, robot, found, {})
+    write_amended(tmp_path, robot, named_values, {})
     amended, beside = load_amended(tmp_path)
     assert amended.nominal().mass_kg == pytest.approx([2.5])
     assert amended.nominal().friction == pytest.approx([0.3])
@@ -295,8 +297,8 @@ def test_a_drive_that_moves_two_joints_keeps_its_rotor_and_gives_the_power(robot
     drive = InverseDynamics(robot, course(position, speed, acceleration)).torques(change)
     joint = [each + each @ coupling.T for each in (position, speed, acceleration)]
     bodies = InverseDynamics(robot, course(*joint)).torques(robot.nominal())
-    own = change.armature * acceleration + change.damping * speed
-    assert (drive * speed).sum(1) == pytest.approx((bodies * joint[1] + own * speed).sum(1))
+    rotor = change.armature * acceleration + change.damping * speed
+    assert (drive * speed).sum(1) == pytest.approx((bodies * joint[1] + rotor * speed).sum(1))
 
 
 def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):

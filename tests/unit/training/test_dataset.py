@@ -84,10 +84,10 @@ def test_labels_and_forces_say_the_same(arm):
     segment = dataset.segment[touched]
     command = dataset.command_rad[touched]
     forces = dataset.forces_n[touched]
-    own = forces[np.arange(len(forces)), segment - 1]
-    assert np.linalg.norm(own, axis=1) == pytest.approx(dataset.magnitude_n[touched])
-    assert np.linalg.norm(forces.sum(axis=1) - own) == 0.0
-    angle = contact_angle_deg(mechanism_of(arm), command, segment, own)
+    segment_forces = forces[np.arange(len(forces)), segment - 1]
+    assert np.linalg.norm(segment_forces, axis=1) == pytest.approx(dataset.magnitude_n[touched])
+    assert np.linalg.norm(forces.sum(axis=1) - segment_forces) == 0.0
+    angle = contact_angle_deg(mechanism_of(arm), command, segment, segment_forces)
     turned = (angle - dataset.angle_deg[touched] + 180.0) % 360.0 - 180.0
     assert turned == pytest.approx(0.0, abs=1e-6)
     assert not dataset.forces_n[~touched].any()

@@ -64,8 +64,8 @@ def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name
         direction = torch.nn.functional.normalize(output.direction, dim=-1)
         expected = [torch.softmax(output.contact_logits, dim=-1), direction, *output[2:]]
         session = Estimator.load(path, CDSM)
-    found = session.run({TENSION: tension})
-    for here, there in zip(expected, found, strict=True):
+    answers = session.run({TENSION: tension})
+    for here, there in zip(expected, answers, strict=True):
         np.testing.assert_allclose(there[1:], here[1:], rtol=AGREEMENT, atol=AGREEMENT)
         assert np.isfinite(there).all()
 
@@ -101,9 +101,9 @@ def test_every_bundled_arm_has_its_estimator():
     assert set(bundled_models()) == {f"{name}_anywhere" for name in arms} | set(NETWORKS)
     for name in arms:
         assert find_model_of(open_arm(name), name).stem == f"{name}_anywhere"
-    own = CDSM.model_copy(update={"name": "own"})
+    renamed = CDSM.model_copy(update={"name": "own"})
     with pytest.raises(ModelFileError, match=r"cablesense export --arm own\.yaml --out own\.onnx"):
-        find_model_of(own, "own.yaml")
+        find_model_of(renamed, "own.yaml")
 
 
 @pytest.mark.slow

@@ -107,9 +107,9 @@ def test_stated_deviations_cover_the_held_out_errors(single):
     fit(network, single, dataclasses.replace(QUICK, epochs=15))
     with torch.no_grad():
         output = network(torch.as_tensor(single.tension_difference_n).float())
-    found = (output.contact_logits.argmax(-1).numpy() > 0) & (single.segment > 0)
-    error = abs(output.magnitude_n.numpy() - single.magnitude_n)[found]
-    inside = error <= 1.96 * output.magnitude_std_n.numpy()[found]
+    recognised = (output.contact_logits.argmax(-1).numpy() > 0) & (single.segment > 0)
+    error = abs(output.magnitude_n.numpy() - single.magnitude_n)[recognised]
+    inside = error <= 1.96 * output.magnitude_std_n.numpy()[recognised]
     assert 0.9 < inside.mean() < 0.99
 
 

@@ -47,11 +47,11 @@ def test_angle_difference_goes_the_short_way(a, turns):
 def test_perfect_answers():
     truth = _truth([0, 1, 2, 3, 4], [0.0, 10.0, 359.0, 90.0, 45.0], [0.0, 1.0, 5.0, 60.0, 200.0])
     answer = _answer(truth.segment, truth.angle_deg, truth.magnitude_n)
-    found = single_contact_metrics(truth, answer, 4)
-    assert found.contact_accuracy == found.macro_f1 == found.coverage95 == 1.0
-    assert found.errors.magnitude_mae_n == found.errors.direction_mae_deg == 0.0
-    assert [b.errors.contacts for b in found.bins] == [1, 1, 0, 1, 1]
-    assert math.isnan(found.bins[2].errors.magnitude_mae_n)
+    figures = single_contact_metrics(truth, answer, 4)
+    assert figures.contact_accuracy == figures.macro_f1 == figures.coverage95 == 1.0
+    assert figures.errors.magnitude_mae_n == figures.errors.direction_mae_deg == 0.0
+    assert [b.errors.contacts for b in figures.bins] == [1, 1, 0, 1, 1]
+    assert math.isnan(figures.bins[2].errors.magnitude_mae_n)
 
 
 def test_a_missed_contact_counts_as_zero_newtons_and_has_no_direction():
@@ -76,19 +76,19 @@ def test_coverage_of_honest_gaussian_errors_is_95_percent():
         truth.magnitude_n + rng.normal(0.0, std, n),
         std,
     )
-    found = single_contact_metrics(truth, answer, 4)
-    assert found.errors.magnitude_coverage95 == pytest.approx(0.95, abs=0.01)
-    assert found.errors.direction_coverage95 == pytest.approx(0.95, abs=0.01)
+    figures = single_contact_metrics(truth, answer, 4)
+    assert figures.errors.magnitude_coverage95 == pytest.approx(0.95, abs=0.01)
+    assert figures.errors.direction_coverage95 == pytest.approx(0.95, abs=0.01)
 
 
 def test_multi_contact_by_hand():
     touched = [[True, False], [True, True]]
     force = [[20.0, 0.0], [1.0, 30.0]]
     answered = [[True, True], [False, True]]
-    found = multi_contact_metrics(touched, force, answered, [[22.0, 3.0], [0.5, 29.0]])
-    assert found.judged == 4
-    assert found.recognition_accuracy == 0.5
-    assert found.all_segments_right == 0.0
+    figures = multi_contact_metrics(touched, force, answered, [[22.0, 3.0], [0.5, 29.0]])
+    assert figures.judged == 4
+    assert figures.recognition_accuracy == 0.5
+    assert figures.all_segments_right == 0.0
     # each segment has one hit and one mistake: F1 = 2/3
-    assert found.macro_f1 == pytest.approx(2 / 3)
-    assert found.magnitude_mae_n == pytest.approx(((2.0 + 1.0) / 2, 1.0))
+    assert figures.macro_f1 == pytest.approx(2 / 3)
+    assert figures.magnitude_mae_n == pytest.approx(((2.0 + 1.0) / 2, 1.0))
