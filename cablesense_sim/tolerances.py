@@ -9,8 +9,7 @@ mechanism, and `read` the readings, of an arm with given deviations.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -20,6 +19,7 @@ from pydantic import Field
 from cablesense_base import Array
 from cablesense_base.plain_yaml import FilePart, Number
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.parameter_groups import GroupedParameters, ParameterGroup
 
 _Share = Annotated[Number, Field(ge=0.0, le=0.5)]
 _Metres = Annotated[Number, Field(ge=0.0, le=0.02)]
@@ -92,26 +92,7 @@ CARRIED_FRICTION = "carried_friction"
 """Name of the kind of parameters that are the state of friction, see `ArmParameters`."""
 
 
-@dataclass(frozen=True)
-class ParameterGroup:
-    """Parameters of one kind, one at each of its places.
-
-    Attributes:
-        name: of the kind, for example `cable_stiffness`.
-        unit: of a deviation; `1` for shares.
-        places: for example `cable_3`, or `cable_3 at plate 2`.
-        std: one standard deviation by the tolerances.
-        mean: the deviation to be expected; zero but for friction.
-    """
-
-    name: str
-    unit: str
-    places: tuple[str, ...]
-    std: float
-    mean: float = 0.0
-
-
-class ArmParameters:
+class ArmParameters(GroupedParameters):
     """The uncertain parameters θ of an arm with N segments and M cables, as one vector of P.
 
     Parameters of a cable come first, M of each kind in the order of the cables: stiffness (share),
@@ -163,7 +144,7 @@ class ArmParameters:
             ParameterGroup(f"{CARRIED_FRICTION}_{n}", "1", places, carried_std)
             for n, places in enumerate(guides)
         ]
-        self.groups: tuple[ParameterGroup, ...] = (
+        groups = (
             ParameterGroup("cable_stiffness", "1", cables, tolerances.cable_stiffness_share),
             ParameterGroup("pretension", "N", cables, tolerances.pretension_n),
             ParameterGroup("run_compliance", "1", cables, run_log),
@@ -180,30 +161,13 @@ class ArmParameters:
             ParameterGroup("joint_zero", "rad", joints, zero_rad),
             coefficient,
         )
+        super().__init__(groups)
         self._mechanism = mechanism
-
-    def __len__(self) -> int:
-        return sum(len(group.places) for group in self.groups)
-
-    @property
-    def names(self) -> list[str]:
-        """(P,) the kind and place of each, for example `cable_stiffness of cable_3`."""
-        return [f"{group.name} of {place}" for group in self.groups for place in group.places]
-
-    @property
-    def units(self) -> list[str]:
-        """Unit of each of the P parameters."""
-        return [group.unit for group in self.groups for _ in group.places]
-
-    @property
-    def prior_mean(self) -> Array:
-        """(P,) deviations to be expected from the file alone."""
-        return np.concatenate([np.full(len(g.places), g.mean) for g in self.groups])
 
     @property
     def prior_std(self) -> Array:
         """(P,) standard deviations by the tolerances; zero where a cable has no such hole."""
-        std = np.concatenate([np.full(len(g.places), g.std) for g in self.groups])
+        std = super().prior_std
         for n in range(1, self._mechanism.segment_count + 1):
             absent = ~self._mechanism.passes_joint[:, n - 1]
             for name in (f"hole_outward_{n}", f"hole_around_{n}", f"{CARRIED_FRICTION}_{n}"):
@@ -211,22 +175,10 @@ class ArmParameters:
         return std
 
     @property
-    def slices(self) -> Mapping[str, slice]:
-        """Where the parameters of each kind stand."""
-        return dict(self._slices())
-
-    @property
     def carried_friction(self) -> slice:
         """Where the carried frictions stand, M of each guide 0 to N."""
         parts = [part for name, part in self._slices() if name.startswith(CARRIED_FRICTION)]
         return slice(parts[0].start, parts[-1].stop)
-
-    def _slices(self) -> Iterator[tuple[str, slice]]:
-        begin = 0
-        for group in self.groups:
-            end = begin + len(group.places)
-            yield group.name, slice(begin, end)
-            begin = end
 
     def built(self, theta: Array) -> Mechanism:
         """The mechanism of an arm that differs from its file by θ (P,).

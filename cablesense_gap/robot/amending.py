@@ -19,10 +19,11 @@ from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import FilePart, describe_problem
 from cablesense_gap.robot import effects
 from cablesense_gap.robot.effects import PRESLIDING, SIDE, RobotEffect
-from cablesense_gap.robot.model import Change, Robot, RobotError, load_robot, read_spec
+from cablesense_gap.robot.model import Change, Robot, RobotError, load_robot
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_sim.arm import ListedEffect
 from cablesense_sim.effects.registry import effects_in
+from cablesense_sim.mujoco_file import read_spec
 
 AMENDED_MODEL = "amended_model.xml"
 BESIDE_MODEL = "amended_model.json"
@@ -96,7 +97,7 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
     change = changed(robot, [values])
     nominal = robot.nominal()
     model = robot.varied(change)
-    spec = read_spec(robot.path)
+    spec = read_spec(robot.path, RobotError)
     folder = robot.path.parent.resolve()
     if spec.meshes or spec.textures:  # the amended model lies in another folder
         spec.meshdir, spec.texturedir = (str(folder / d) for d in (spec.meshdir, spec.texturedir))

@@ -10,14 +10,13 @@ from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError, some_of
-from cablesense_base.files import printable_path, read_bounded_text
+from cablesense_sim.mujoco_file import compiled, joint_ties, read_spec
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -27,12 +26,6 @@ _GUIDES = {
 _LEAST_KG = 1e-9
 _LEAST_REACH_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
-_MAX_BYTES = 50_000_000
-_URDF = re.compile(r"<robot[\s>]")
-_XACRO = re.compile(r"<xacro:|=\s*[\"'][^\"'<>]*\$[{(]")
-"""Its elements, or an attribute with an expression; an expanded file may keep the name space."""
-_COMMENTS = re.compile(r"<!--.*?-->", re.DOTALL)
-_SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _ZERO_BY_JOINT = (
     "play",
     "load_friction",
@@ -261,11 +254,8 @@ def load_robot(path: str | Path) -> Robot:
             joints that have no name or more than one coordinate.
     """
     path = Path(path)
-    spec = read_spec(path)
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise _unreadable(path, error) from error
+    spec = read_spec(path, RobotError)
+    model = compiled(spec, path, RobotError)
     names = [model.joint(j).name for j in range(model.njnt)]
     if not names:
         raise RobotError(f"{path}: has no joints; the model of a robot has at least one")
@@ -347,95 +337,6 @@ def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Arr
     return joint_forces
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """The model to be compiled or amended; of a URDF without its shapes, whose files may be far.
-
-    Raises:
-        RobotError: no such file, or not a model.
-    """
-    text = read_bounded_text(path, _MAX_BYTES, "an MJCF or a URDF", RobotError)
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        raise RobotError(
-            f"{printable_path(path)}: the path is no UTF-8 text, which MuJoCo needs; rename it"
-        ) from None
-    if _URDF.search(text) and _XACRO.search(_COMMENTS.sub("", text)):
-        name = path.name.removesuffix(".xacro").removesuffix(".urdf")
-        expanded = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}_expanded.urdf"
-        raise RobotError(f"{path}: is a xacro file; expand it: xacro {path.name} > {expanded}")
-    try:
-        if _URDF.search(text):
-            spec = mujoco.MjSpec.from_string(_SHAPES.sub("", text))
-        else:
-            spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise _unreadable(path, error) from error
-    for number, body in enumerate(spec.bodies):
-        body.simple = False  # inertias compiled as simple ones could not be changed
-        body.name = body.name or f"body_{number}"
-    return spec
-
-
-def _unreadable(path: Path, error: ValueError) -> RobotError:
-    without = _links_without_mass(path)
-    if without:
-        others = f", nor have {some_of(without[1:])}" if len(without) > 1 else ""
-        return RobotError(
-            f"{path}: link {without[0]} has no <inertial> with a mass{others}; masses from shapes "
-            "are not used: give one to each link that a joint moves"
-        )
-    line = " ".join(str(error).split())[:300]
-    return RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})")
-
-
-def _links_without_mass(path: Path) -> list[str]:
-    """Links of a URDF that a joint moves, and that have no mass with all that is fixed to them."""
-    text = read_bounded_text(path, _MAX_BYTES, "an MJCF or a URDF", RobotError)
-    if not _URDF.search(text):
-        return []
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError:
-        return []
-    massive = {link.get("name") for link in root.iter("link") if _mass_kg(link) > 0.0}
-    fixed_to: dict[str | None, list[str | None]] = {}
-    moved: list[str] = []
-    for joint in root.findall("joint"):
-        child = joint.find("child")
-        parent = joint.find("parent")
-        if child is None or parent is None:
-            continue
-        if joint.get("type") == "fixed":
-            fixed_to.setdefault(parent.get("link"), []).append(child.get("link"))
-        else:
-            moved.append(str(child.get("link")))
-    return [link for link in moved if not _weighs(link, massive, fixed_to)]
-
-
-def _mass_kg(link: ElementTree.Element) -> float:
-    mass = link.find("inertial/mass")
-    try:
-        return float(mass.get("value", "0")) if mass is not None else 0.0
-    except ValueError:
-        return 0.0
-
-
-def _weighs(
-    link: str | None, massive: set[str | None], fixed_to: dict[str | None, list[str | None]]
-) -> bool:
-    parts = [link]
-    seen: set[str | None] = set()
-    while parts:
-        part = parts.pop()
-        if part in massive:
-            return True
-        if part not in seen:
-            seen.add(part)
-            parts += fixed_to.get(part, [])
-    return False
-
-
 def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
     """Ratios of joints that are tied to others, and what of the active equalities is left out."""
     geared = np.zeros((model.njnt, model.njnt))
@@ -448,43 +349,6 @@ def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
     of_joints = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
     others += int(model.eq_active0.sum()) - int(of_joints.sum())
     return geared, (f"{others} equality constraints of the model are left out.",) * bool(others)
-
-
-@dataclass(frozen=True)
-class JointTie:
-    """An equality that ties a joint to another, or to a place.
-
-    Attributes:
-        joint: number of the joint that follows.
-        leader: number of the joint that it follows; None where it is held.
-        curve: (5,) coefficients of its position, from the reference, by the leader's from its own.
-        reference: positions of joint and leader from which the curve counts, rad or m.
-    """
-
-    joint: int
-    leader: int | None
-    curve: tuple[float, ...]
-    reference: tuple[float, float]
-
-    def followed(self, leading: Array) -> Array:
-        """The joint's positions by those of its leader, of the same shape."""
-        away = leading - self.reference[1]
-        return np.asarray(self.reference[0] + np.polynomial.polynomial.polyval(away, self.curve))
-
-
-def joint_ties(model: mujoco.MjModel) -> list[JointTie]:
-    """The active equalities of joints; one that is not active ties nothing."""
-    ties = []
-    for e in range(model.neq):
-        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
-            continue
-        joint = int(model.eq_obj1id[e])
-        leader = int(model.eq_obj2id[e])
-        led = leader >= 0
-        reference = float(model.qpos0[joint]), float(model.qpos0[leader]) if led else 0.0
-        curve = tuple(model.eq_data[e, :5].tolist())
-        ties.append(JointTie(joint, leader if led else None, curve, reference))
-    return ties
 
 
 def _controls(model: mujoco.MjModel, actuators: Sequence[str]) -> tuple[str, ...]:

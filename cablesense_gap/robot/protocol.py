@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
-from cablesense_gap.robot.model import JointTie, Robot, joint_ties
+from cablesense_gap.robot.model import Robot
 from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 from cablesense_recording.csv_file import write_table
+from cablesense_sim.mujoco_file import JointTie, joint_ties
 
 RATE_HZ = 100.0
 _RANGE_SHARE = 0.8

@@ -5,34 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_sim.touch import TouchedPlaces
 from cablesense_sim.uncertain_arm import CableFriction
-from cablesense_training.law.geometry import Matrix, constant
-from cablesense_training.law.hypotheses import RivalHypotheses
+from cablesense_training.law.evidence import evidence_of
+from cablesense_training.law.hypotheses import torque_scale_of
 from cablesense_training.law.measurement import POSE_STEPS, MeasurementModel
-from cablesense_training.law.posterior import (
-    LARGEST_N,
-    PLACES,
-    ContactPosterior,
-    PosteriorOfContact,
-)
-from cablesense_training.law.wrench import WrenchFit
-
-_POINTS = 49
-"""Points at which a distribution is taken for the ends of its interval."""
-_WIDTH = 4.0
-"""Standard deviations that they cover to each side."""
-_LOW = 0.025
-"""Lower end of the 95 % intervals, as a probability."""
-_HIGH = 0.975
-"""Upper end of the 95 % intervals, as a probability."""
-_TINY = 1e-18
-"""Variance, (N·m)², that counts as zero: its root has no derivative there."""
+from cablesense_training.law.statement import ContactStatement
 
 
 class EstimatorOutput(NamedTuple):
@@ -92,23 +74,9 @@ class ArmEstimator(nn.Module):
         self.measurement = MeasurementModel(
             mechanism, held_by, parameters, reading_variance_n2, friction, pose_steps
         )
-        self.wrench = WrenchFit(mechanism.segment_length_m)
-        self.contact = PosteriorOfContact(touched)
-        self.rivals = RivalHypotheses(mechanism.segment_length_m)
         length_m = mechanism.segment_length_m
         joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-        self.points = constant(np.linspace(0.0, 1.0, _POINTS))
-        self.ends = constant(np.array([[_LOW], [_HIGH]]))
-        self.low_m = constant(touched.touched_m[:, :1, None])
-        self.high_m = constant(touched.touched_m[:, 1:, None])
-        self.joint_m = constant(joint_m[:, None, None])
-        self.numbers = constant(np.arange(mechanism.segment_count))
-        self.earlier = constant(np.tril(np.ones((len(length_m), len(length_m))), -1).T)
-        self.to_covariance = constant(_to_covariance())
-        self.around_axes = constant(np.array([[0.0, 1.0], [-1.0, 0.0]]))
-        self.moment_variances = constant(np.array([35, 28]))
-        self.lateral_variances = constant(np.array([5, 9]))
-        self.grid_shape = (-1, 20, PLACES)
+        self.statement = ContactStatement(touched, length_m, joint_m, torque_scale_of(length_m))
 
     def forward(
         self,
@@ -120,57 +88,10 @@ class ArmEstimator(nn.Module):
     ) -> EstimatorOutput:
         """The posterior; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         seen = self.measurement(reading_n, command_rad, mean, covariance, unrest_n2_m2)
-        wrench = self.wrench(seen)
-        contact = self.contact(wrench, self.wrench)
-        rival = self.rivals(seen, wrench)
-        best = contact.log_evidence.argmax(1, keepdim=True)
-        chosen = (best == self.numbers).to(reading_n.dtype)[:, None]
-        gain = (chosen @ contact.chi2_gain[..., None])[:, 0, 0]
-        place_ci, region = self._places(contact, chosen)
-
-        # the grid of the likeliest segment
-        place_m = torch.minimum(torch.maximum(contact.place_m, self.low_m), self.high_m)
-        rows = (
-            place_m,
-            contact.force_n,
-            contact.line_m * contact.force_n[:, :, 1:],
-            contact.weight,
-            contact.place_variance_m2,
-            contact.covariance_n2,
-            contact.line_m**2,
-            contact.lateral_squared_n2,
-            contact.lateral_variance_n2,
-        )
-        grid = (chosen @ torch.cat(rows, dim=2).flatten(2)).reshape(self.grid_shape)
-        values, weight, within, square_m2, squared, variance = grid.split((6, 1, 10, 1, 1, 1), 1)
-        means = values @ weight.transpose(1, 2)
-        offsets = values - means
-        moment_variance = within.index_select(1, self.lateral_variances) * square_m2
-        within = torch.cat([within, moment_variance], dim=1) @ weight.transpose(1, 2)
-        within = (within.transpose(1, 2) @ self.to_covariance).reshape(-1, 6, 6)
-        spread = (offsets * weight) @ offsets.transpose(1, 2) + within
-        place, force, around = means[:, :, 0].split((1, 3, 2), dim=1)
-        moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
+        statement = self.statement(evidence_of(seen))
         at_joint, by_place = seen.levers.split(3, dim=2)
         return EstimatorOutput(
-            contact_evidence=contact.log_evidence,
-            segment_evidence=rival.segment,
-            several_evidence=rival.several,
-            faulty_evidence=rival.faulty_free,
-            faulty_segment_evidence=rival.faulty_segment,
-            exchanged_evidence=rival.exchanged_free,
-            free_chi2=rival.free_chi2,
-            contact_chi2=rival.free_chi2 - gain,
-            several_chi2=rival.free_chi2 - rival.several_gain,
-            place_m=place[:, 0],
-            place_ci95_m=place_ci,
-            region_m=region,
-            force_n=force,
-            contact_covariance=spread[:, :4, :4],
-            magnitude_ci95_n=self._magnitudes(weight, squared, variance),
-            moment_n_m=around @ self.around_axes,
-            moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_TINY)),
-            fault_n=rival.faulty_free_n,
+            *statement,
             innovation_n=seen.innovation_n[:, 0],
             information_n2=seen.information_n2,
             by_parameter=seen.by_parameter,
@@ -179,81 +100,3 @@ class ArmEstimator(nn.Module):
             by_place=by_place,
             pose_rad=seen.pose_rad[:, 0],
         )
-
-    def _magnitudes(self, weight: Tensor, squared_n2: Tensor, variance_n2: Tensor) -> Tensor:
-        """The interval (B, 2) of a mixture (B, 1, K) of normal magnitudes, up to the largest."""
-        lateral = torch.sqrt(squared_n2)
-        mean, std = _moments(weight, lateral, variance_n2)
-        low = (mean - _WIDTH * std).clamp(min=0.0)
-        points = low + (mean + _WIDTH * std - low) * self.points
-        cdf = _mixture_cdf(points, mean, std, weight, lateral, variance_n2)
-        # forces beyond the largest that is expected count only where all are
-        inside = (cdf * (points <= LARGEST_N)).amax(2, keepdim=True)
-        most = torch.where(inside > _LOW, inside, cdf[:, :, -1:])
-        return _quantiles(points, cdf / most, self.ends)
-
-    def _places(self, one: ContactPosterior, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """The intervals (B, 2) of the place on the chosen segment, and along the arm."""
-        mean, std = _moments(one.weight, one.place_m, one.place_variance_m2)
-        width = _WIDTH * std
-        low = torch.minimum(torch.maximum(mean - width, self.low_m), self.high_m - std)
-        high = torch.maximum(torch.minimum(mean + width, self.high_m), self.low_m + std)
-        points = low + (high - low) * self.points
-        cdf = _mixture_cdf(points, mean, std, one.weight, one.place_m, one.place_variance_m2)
-        # what lies beyond the ends of the segment is taken to be on it
-        first = cdf[..., :1]
-        cdf = (cdf - first) / (cdf[..., -1:] - first).clamp(min=1e-12)
-        chosen_cdf = chosen @ torch.cat([points, cdf], dim=3).flatten(2)
-        own_points, own_cdf = chosen_cdf.split(_POINTS, dim=2)
-        interval = _quantiles(own_points, own_cdf, self.ends)
-        probability = torch.softmax(one.log_evidence, dim=1)
-        before = probability @ self.earlier
-        along = points + self.joint_m
-        along_cdf = before[:, :, None, None] + probability[:, :, None, None] * cdf
-        return interval, _quantiles(
-            along.flatten(1)[:, None], along_cdf.flatten(1)[:, None], self.ends
-        )
-
-
-def _moments(weight: Tensor, value: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and deviation (..., 1, 1) of a mixture (..., 1, K) of normal distributions."""
-    mean = (weight * value).sum(-1, keepdim=True)
-    square = weight * (variance + (value - mean) ** 2)
-    return mean, torch.sqrt(square.sum(-1, keepdim=True))
-
-
-def _mixture_cdf(
-    points: Tensor, mean: Tensor, std: Tensor, weight: Tensor, value: Tensor, variance: Tensor
-) -> Tensor:
-    """(..., 1, Q) distribution function of a mixture (..., 1, K) at points (..., 1, Q).
-
-    In single precision, relative to the mean and the deviation of the mixture, as ONNX Runtime
-    has the error function in that alone.
-    """
-    place = ((points - mean) / std).float()
-    offset = ((value - mean) / std).float().transpose(-1, -2)
-    scale = (std * torch.rsqrt(2.0 * variance)).float().transpose(-1, -2)
-    shares = torch.erf((place - offset) * scale)
-    return 0.5 + 0.5 * (weight.float() @ shares).double()
-
-
-def _quantiles(points: Tensor, cdf: Tensor, shares: Tensor) -> Tensor:
-    """(B, S) where a distribution function (B, 1, Q) at ascending points reaches shares (S, 1).
-
-    Between two points it is linear: of each step there is what the share exceeds the lower end by.
-    """
-    lower = cdf[:, :, :-1]
-    rise = (cdf[:, :, 1:] - lower).clamp(min=1e-12)
-    part = ((shares - lower) / rise).clamp(0.0, 1.0)
-    step = points[:, :, 1:] - points[:, :, :-1]
-    return (points[:, :, :1] + part @ step.transpose(1, 2))[:, :, 0]
-
-
-def _to_covariance() -> Matrix:
-    """(12, 36): variances of the place, of the force (3, 3) and of two moments, to one matrix."""
-    placed = np.zeros((12, 6, 6))
-    placed[0, 0, 0] = 1.0
-    placed[1:10, 1:4, 1:4] = np.eye(9).reshape(9, 3, 3)
-    placed[10, 4, 4] = 1.0
-    placed[11, 5, 5] = 1.0
-    return placed.reshape(12, 36)

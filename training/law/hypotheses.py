@@ -18,8 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_training.law.evidence import Evidence
 from cablesense_training.law.geometry import Matrix, constant
-from cablesense_training.law.measurement import Measurement, inverse
+from cablesense_training.law.measurement import inverse
 from cablesense_training.law.wrench import FORCE_STD_N, SegmentWrench
 
 FAULT_STD_N = 20.0
@@ -51,18 +52,16 @@ class Hypotheses(NamedTuple):
 
 
 class RivalHypotheses(nn.Module):
-    """`Hypotheses` of measurements, for an arm with segments of lengths (N,) in m."""
+    """`Hypotheses` of evidence.
 
-    def __init__(self, length_m: Matrix) -> None:
+    Args:
+        torque_scale: (T,) prior deviation of the torques of several contacts, each by itself.
+    """
+
+    def __init__(self, torque_scale: Matrix) -> None:
         super().__init__()
-        count = len(length_m)
-        joints = 2 * count
-        # torques by forces in the middle of all segments, as independent at each joint
-        levers_m = np.arange(count, 0, -1) - 0.5
-        torque = (
-            FORCE_STD_N * float(length_m.mean()) * np.sqrt(np.cumsum(levers_m[::-1] ** 2)[::-1])
-        )
-        scale = np.repeat(torque, 2)
+        scale = torque_scale
+        joints = len(scale)
         self.torque_scale = constant(scale[:, None])
         self.torque_scales = constant(scale[:, None] * scale)
         self.torque_identity = constant(np.eye(joints))
@@ -73,11 +72,10 @@ class RivalHypotheses(nn.Module):
         self.torque_place = constant(np.eye(joints, size))
         self.torque_rest = constant(np.diag(np.arange(size) >= joints).astype(float))
 
-    def forward(self, seen: Measurement, wrench: SegmentWrench) -> Hypotheses:
+    def forward(self, seen: Evidence, wrench: SegmentWrench) -> Hypotheses:
         """The evidence of each."""
-        information = seen.information_n2
-        weighted = seen.innovation_n @ information
-        free_chi2 = (weighted * seen.innovation_n).sum((1, 2))
+        information = seen.channel_information
+        weighted = seen.channel_pull
         channel_information = torch.diagonal(information, dim1=1, dim2=2)[:, None]
         faulty_free, faulty_n = _fault(weighted, channel_information)
 
@@ -105,7 +103,7 @@ class RivalHypotheses(nn.Module):
         pulled = weighted - (wrench.mean.transpose(2, 3) @ seen_in)[:, :, 0]
         faulty_segment, _ = _fault(pulled, unexplained)
         return Hypotheses(
-            free_chi2=free_chi2,
+            free_chi2=seen.free_chi2,
             faulty_free=faulty_free[:, 0],
             exchanged_free=exchanged_free,
             segment=segment,
@@ -118,6 +116,14 @@ class RivalHypotheses(nn.Module):
     def _padded(self, matrix: Tensor, place: Tensor, rest: Tensor) -> Tensor:
         """A larger matrix with the same determinant."""
         return place.T @ matrix @ place + rest
+
+
+def torque_scale_of(length_m: Matrix) -> Matrix:
+    """(2N,) of an arm with segments of lengths (N,): by forces in the middle of all segments."""
+    count = len(length_m)
+    levers_m = np.arange(count, 0, -1) - 0.5
+    torque = FORCE_STD_N * float(length_m.mean()) * np.sqrt(np.cumsum(levers_m[::-1] ** 2)[::-1])
+    return np.repeat(torque, 2)
 
 
 def _fault(pull: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_training.law.evidence import Evidence
 from cablesense_training.law.geometry import Matrix, constant
-from cablesense_training.law.measurement import Measurement, inverse
+from cablesense_training.law.measurement import inverse
 
 FORCE_STD_N = 100.0
 """Prior deviation of each component of the forces that several contacts have in sum."""
@@ -95,7 +96,7 @@ class WrenchFit(nn.Module):
         self.across = constant(across)
         self.lateral = constant(np.diag([0.0, 1.0, 1.0, 0.0, 0.0]))
 
-    def forward(self, seen: Measurement) -> SegmentWrench:
+    def forward(self, seen: Evidence) -> SegmentWrench:
         """The fits."""
         levers = torch.cat([seen.levers, seen.by_torsion], dim=2)
         information = levers @ seen.torque_precision[:, None] @ levers.transpose(2, 3)

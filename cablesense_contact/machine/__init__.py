@@ -1,0 +1,1 @@
+"""What readings of a machine that MuJoCo describes say of contacts."""

@@ -1,0 +1,377 @@
+"""What one reading of a machine says, linear about a pose: an observation.
+
+Two kinds of machines, one form. Where actuators hold tendons whose stiffness is known, readings y
+are tensions, which follow from the pose:
+
+    y = g T(r) + b + noise,   F(r) + τ = 0,   δT = D δτ + [A - D (B - J' A)] δθ,   D = -K J H⁻¹,
+
+with τ the generalised forces of contacts, H = ∂F/∂r, J = ∂l/∂r, and A and B the derivatives of
+tensions and forces by the parameters θ at a fixed pose (`sensitivity`). The pose is the one that
+explains the reading by the least contacts: tensions fix the coordinates that they determine, and
+of the others a wide prior of contact forces takes the least.
+
+Where joint positions are read, the pose is known, and each coordinate has one equation:
+
+    τ = J' T - F_0(r) - u,
+
+with tensions T and torques u of the drives as read. That is an observation of τ itself.
+
+In both, an observation x has the covariance S = R + G Σ G', as in `training/law/measurement`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.machine.sensitivity import Sensitivity, sensitivity
+from cablesense_sim.machine.built_machine import BuiltMachine
+from cablesense_sim.machine.holding import Holding
+from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.parameters import MachineParameters
+from cablesense_sim.machine.statics import LinkForce, LinkFrames
+
+_TAUT_ABOVE_STD = 4.0
+"""A reading above this many deviations of the sensor shows a taut tendon."""
+_POSE_STEPS = 12
+"""At most, of the search for the pose behind a reading."""
+_POSE_FOUND = 1e-9
+"""It ends where a step is shorter, rad or m."""
+_LEAST_TORQUE_SHARE = 1e-3
+"""Deviation of a coordinate's contact force that no touched link makes, over the largest."""
+_MOST_KEPT = 64
+"""Commands and parameters for which what does not depend on the reading is kept."""
+
+
+class Observation(NamedTuple):
+    """What a reading says of a machine with N links, M channels, n coordinates, P parameters.
+
+    Attributes:
+        reading: (M,).
+        innovation: (D,) the observation minus that of the untouched machine.
+        information: (D, D) inverse covariance of innovations.
+        by_torque: (D, n) derivative of observations by contact forces.
+        by_parameter: (D, P) by the parameters.
+        by_channel: (D, M) by what a channel reads too much.
+        levers: (N, 6, n) generalised forces of unit forces at the links' frames, along the axes
+            that these have at the command, and their slopes along the links' axes.
+        torsion: (N, 1, n) of unit moments about the links' axes.
+        pose: (n,).
+    """
+
+    reading: Array
+    innovation: Array
+    information: Array
+    by_torque: Array
+    by_parameter: Array
+    by_channel: Array
+    levers: Array
+    torsion: Array
+    pose: Array
+
+
+class _Known(NamedTuple):
+    """What does not depend on the reading.
+
+    Attributes:
+        built: the machine with the mean parameters.
+        unstretched_m: (K,) lengths of its tendons at the command.
+        pose: (n,) of the untouched machine.
+        slope: (n, n) ∂F/∂r there.
+        sensitivity: by the parameters, there; None where the reading's own tensions matter.
+        frames: of the links at the command.
+    """
+
+    built: BuiltMachine
+    unstretched_m: Array
+    pose: Array
+    slope: Array
+    sensitivity: Sensitivity | None
+    frames: LinkFrames
+
+
+class Observer:
+    """Makes observations of the readings of one machine.
+
+    Attributes:
+        machine: the machine.
+        parameters: what is uncertain about it.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.parameters = MachineParameters(machine)
+        self._holding = Holding(machine)
+        self._variance = machine.channels.variance
+        self._taut_above = _TAUT_ABOVE_STD * np.sqrt(self._variance)
+        self._kept: dict[bytes, _Known] = {}
+        self._built: dict[bytes, BuiltMachine] = {}
+        self._friction_variance = _joint_friction_variance(machine)
+        self._torque_precision_root = self._prior_of_torques()
+        self._equations = _known_equations(machine)
+
+    def observe(
+        self,
+        reading: Array,
+        command: Array,
+        mean: Array,
+        covariance: Array,
+        unrest: Array,
+        near: Array | None = None,
+    ) -> Observation:
+        """The observation in a reading (M,) at a command (C,), or at measured joint positions.
+
+        Args:
+            reading: N, and N·m of hinges' torques.
+            command: of the coordinates (rad, m), or of the actuators.
+            mean: (P,) and
+            covariance: (P, P) of the parameters.
+            unrest: (n, n) covariance of forces by motion.
+            near: (n,) a pose to be linear about; by default the one that explains the reading.
+        """
+        known = self._known(command, mean)
+        moving = unrest + np.diag(self._friction_variance)
+        if self.machine.is_measured:
+            return self._of_pose(known, reading, command, covariance, moving)
+        return self._of_tensions(known, reading, covariance, moving, near)
+
+    def untouched(self, command: Array, mean: Array) -> tuple[Array, Array]:
+        """Pose (n,) and tensions (K,) of the machine that nothing touches."""
+        known = self._known(command, mean)
+        balance = known.built.statics.at(known.pose)
+        return known.pose, known.built.statics.tensions_n(balance.length_m, known.unstretched_m)
+
+    def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
+        """(n,) the machine at rest under a contact, whose force is in the link's stated axes.
+
+        Raises:
+            MachineError: it finds no rest.
+        """
+        known = self._known(command, mean)
+        in_base = known.frames.axes[contact.link] @ contact.force_n
+        force = replace(contact, force_n=in_base)
+        pose, _ = known.built.statics.rest(known.unstretched_m, (force,), near)
+        return pose
+
+    def _known(self, command: Array, mean: Array) -> _Known:
+        key = mean.tobytes() + command.tobytes()
+        if key in self._kept:
+            return self._kept[key]
+        built = self._built_of(mean)
+        machine = self.machine
+        statics = built.statics
+        if machine.is_measured:
+            pose = command + built.joint_zero
+            unstretched_m = self._holding.unstretched_m(
+                machine.reference, statics, built.pretension_n, np.zeros_like(built.joint_zero)
+            )
+            slope = np.zeros((len(pose), len(pose)))
+            tensions = statics.tensions_n(statics.at(pose).length_m, unstretched_m)
+        else:
+            unstretched_m = self._holding.unstretched_m(
+                command, statics, built.pretension_n, built.joint_zero
+            )
+            start = machine.reference
+            if machine.source.file.joints == "commanded":
+                start = command + built.joint_zero
+            pose, tensions = statics.rest(unstretched_m, (), start)
+            slope = statics.slope(pose, unstretched_m, statics.residual(pose, unstretched_m))
+        by_parameters = None
+        if not machine.is_measured:
+            by_parameters = sensitivity(machine, self.parameters, built, command, pose, tensions)
+        frame_pose = command if machine.source.file.joints == "commanded" else pose
+        statics.at(frame_pose)
+        known = _Known(built, unstretched_m, pose, slope, by_parameters, statics.links())
+        if len(self._kept) >= _MOST_KEPT:
+            self._kept.pop(next(iter(self._kept)))
+        self._kept[key] = known
+        return known
+
+    def _built_of(self, mean: Array) -> BuiltMachine:
+        key = mean.tobytes()
+        if key not in self._built:
+            if len(self._built) >= _MOST_KEPT:
+                self._built.pop(next(iter(self._built)))
+            self._built[key] = BuiltMachine(self.machine, self.parameters, mean)
+        return self._built[key]
+
+    def _of_tensions(
+        self, known: _Known, reading: Array, covariance: Array, moving: Array, near: Array | None
+    ) -> Observation:
+        built = known.built
+        statics = built.statics
+        read = self.machine.channels.tendon
+        tension = (reading - built.zero) / built.gain
+        pose = self._pose_of(known, tension) if near is None else near
+        residual = statics.residual(pose, known.unstretched_m)
+        slope = statics.slope(pose, known.unstretched_m, residual)
+        balance = statics.at(pose)
+        frames = statics.links()
+        tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+        stiffened = (statics.stiffness_n_m * (tensions_n > 0.0))[:, None] * balance.moment
+        # D = ∂T/∂τ = -K J H⁻¹
+        by_torque = -stiffened @ np.linalg.inv(slope)
+        assert known.sensitivity is not None
+        of_tensions, of_forces = known.sensitivity
+        by_parameter = of_tensions + by_torque @ (of_forces - balance.moment.T @ of_tensions)
+        by_torque = built.gain[:, None] * by_torque[read]
+        by_parameter = built.gain[:, None] * by_parameter[read]
+        slices = self.parameters.slices
+        by_parameter[:, slices["sensor_gain"]] += np.diag(tensions_n[read])
+        by_parameter[:, slices["sensor_zero"]] += np.eye(len(read))
+        noise = np.diag(self._variance)
+        spread = by_parameter @ covariance @ by_parameter.T + noise
+        spread += by_torque @ moving @ by_torque.T
+        expected = built.gain * tensions_n[read] + built.zero
+        levers, torsion = _levers(frames, known.frames.axes)
+        return Observation(
+            reading=reading,
+            innovation=reading - expected - by_torque @ residual,
+            information=np.linalg.inv(spread),
+            by_torque=by_torque,
+            by_parameter=by_parameter,
+            by_channel=np.eye(len(read)),
+            levers=levers,
+            torsion=torsion,
+            pose=pose,
+        )
+
+    def _pose_of(self, known: _Known, tension: Array) -> Array:
+        """(n,) the pose of the least sum of squares: of tensions, and of the contacts it needs."""
+        statics = known.built.statics
+        unstretched_m = known.unstretched_m
+        read = self.machine.channels.tendon
+        taut = tension > self._taut_above
+        per_std = 1.0 / np.sqrt(self._variance)
+        root = self._torque_precision_root
+        slope = known.slope
+        pose = known.pose
+        last = np.inf
+        for _ in range(_POSE_STEPS):
+            balance = statics.at(pose)
+            elastic = statics.stiffness_n_m * (balance.length_m - unstretched_m)
+            tensions_n = np.maximum(elastic, 0.0)
+            modelled = np.where(taut, elastic[read], tensions_n[read])
+            off = (tension - modelled) * per_std
+            pulls = taut | (tensions_n[read] > 0.0)
+            by_pose = (statics.stiffness_n_m[:, None] * balance.moment)[read]
+            residual = balance.load - tensions_n @ balance.moment
+            matrix = np.concatenate([by_pose * (pulls * per_std)[:, None], root.T @ slope])
+            wanted = np.concatenate([off, -(root.T @ residual)])
+            step = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+            pose = pose + step
+            length = float(np.abs(step).max())
+            if length < _POSE_FOUND:
+                break
+            if length > 0.1 * last or length > 1e-2:
+                here = statics.residual(pose, unstretched_m)
+                slope = statics.slope(pose, unstretched_m, here)
+            last = length
+        return pose
+
+    def _of_pose(
+        self, known: _Known, reading: Array, command: Array, covariance: Array, moving: Array
+    ) -> Observation:
+        built = known.built
+        statics = built.statics
+        channels = self.machine.channels
+        rows = self._equations
+        pose = known.pose
+        balance = statics.at(pose)
+        frames = statics.links()
+        spring_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+        value = (reading - built.zero) / built.gain
+        tensions_n = spring_n.copy()
+        is_tension = channels.tendon >= 0
+        tensions_n[channels.tendon[is_tension]] = value[is_tension]
+        by_channel = np.zeros((len(pose), len(reading)))
+        by_channel[:, is_tension] = balance.moment[channels.tendon[is_tension]].T
+        drives = np.flatnonzero(~is_tension)
+        by_channel[channels.coordinate[drives], drives] = -1.0
+        driven = np.zeros(len(pose))
+        driven[channels.coordinate[drives]] = value[drives]
+        # τ = J' T - F_0 - u
+        innovation = tensions_n @ balance.moment - balance.load - driven
+        slope = statics.load_slope(pose, tensions_n)
+        current = sensitivity(self.machine, self.parameters, built, command, pose, tensions_n)
+        by_parameter = current.of_forces.copy()
+        slices = self.parameters.slices
+        is_force = self.parameters.is_force
+        by_parameter[:, slices["sensor_gain"]] += by_channel * value
+        by_parameter[:, slices["sensor_zero"]] += by_channel[:, is_force]
+        by_parameter[:, slices["torque_zero"]] += by_channel[:, ~is_force]
+        is_hinge = self.machine.coordinates.is_hinge
+        by_parameter[:, slices["joint_zero"]] += slope[:, is_hinge]
+        by_parameter[:, slices["slide_zero"]] += slope[:, ~is_hinge]
+        tolerances = self.machine.source.file.tolerances
+        read_std = np.where(
+            is_hinge, np.deg2rad(tolerances.joint_noise_deg), tolerances.joint_noise_m
+        )
+        by_channel = by_channel / built.gain
+        spread = by_parameter @ covariance @ by_parameter.T + moving
+        spread += (by_channel * self._variance) @ by_channel.T + (slope * read_std**2) @ slope.T
+        levers, torsion = _levers(frames, known.frames.axes)
+        information = np.linalg.inv(spread[np.ix_(rows, rows)])
+        return Observation(
+            reading=reading,
+            innovation=innovation[rows],
+            information=information,
+            by_torque=np.eye(len(pose))[rows],
+            by_parameter=by_parameter[rows],
+            by_channel=by_channel[rows],
+            levers=levers,
+            torsion=torsion,
+            pose=pose,
+        )
+
+    def _prior_of_torques(self) -> Array:
+        """(n, n) a root L of the precision L L' of contact forces on the coordinates."""
+        machine = self.machine
+        statics = self._built_of(self.parameters.prior_mean).statics
+        statics.at(machine.reference)
+        levers, _ = _levers(statics.links(), None)
+        middle_m = machine.links.touched_m.mean(axis=1)[:, None, None]
+        unit = levers[:, :3] + middle_m * levers[:, 3:]
+        covariance = np.einsum("nxi,nxj->ij", unit, unit) * machine.source.file.touch.largest_n**2
+        floor = _LEAST_TORQUE_SHARE**2 * float(np.diagonal(covariance).max())
+        covariance += floor * np.eye(len(covariance))
+        return np.linalg.cholesky(np.linalg.inv(covariance))
+
+
+def _levers(frames: LinkFrames, axes: Array | None) -> tuple[Array, Array]:
+    """Levers (N, 6, n) along given axes (N, 3, 3), or the links' own, and torsions (N, 1, n)."""
+    along = frames.axes if axes is None else axes
+    # a force f at s e from the frame adds the moment s e x f: f · (w x e) for each joint axis w
+    place = frames.axes[:, :, 0]
+    slope = np.cross(frames.by_moment, place[:, :, None], axis=1)
+    turn = along.transpose(0, 2, 1)
+    levers = np.concatenate([turn @ frames.by_force_m, turn @ slope], axis=1)
+    torsion = place[:, None] @ frames.by_moment
+    return levers, torsion
+
+
+def _joint_friction_variance(machine: Machine) -> Array:
+    """(n,) of the dry friction in joints, which is anywhere up to what the model states."""
+    coordinates = machine.coordinates
+    slope = coordinates.slope(coordinates.positions(machine.reference))
+    bound = np.abs(slope).T @ machine.model.dof_frictionloss
+    return np.asarray(bound**2 / 3.0)
+
+
+def _known_equations(machine: Machine) -> Array:
+    """Numbers of the coordinates all of whose forces are read or modelled."""
+    model = machine.model
+    joints = machine.coordinates.joints
+    read = set(machine.channels.coordinate.tolist())
+    driven = {
+        int(model.actuator_trnid[a, 0])
+        for a in range(model.nactuator)
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    return np.array(
+        [i for i, j in enumerate(joints.tolist()) if i in read or j not in driven], dtype=np.int64
+    )

@@ -1,0 +1,308 @@
+"""Forces in a machine at a pose, and where it comes to rest: MuJoCo's kinematics, our balance.
+
+With coordinates r, tendons of lengths l(r), unstretched lengths L and stiffness k have the
+tensions T = max(0, k (l - L)). The machine is at rest where the residual force
+
+    F(r) + Σ_c J_c(r)' f_c = 0,      F(r) = weight(r) + springs(r) - (∂l/∂r)' T(r)
+
+vanishes, f_c being forces that act on links. F is exact, by MuJoCo; its derivative is by
+differences of it, as only that covers paths around geoms, pulleys and joints that follow others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.machine import Machine
+
+_STEP = 1e-6
+"""Of a coordinate, rad or m, by which derivatives are taken: a force differs in its tenth digit."""
+_REST = 1e-9
+"""A machine is at rest where the step that is left is shorter, rad or m."""
+_MOST_STEPS = 100
+_LEAST_SHARE = 1e-6
+"""Shortest part of a step that is tried before a search for rest ends."""
+_LONGEST = 0.5
+"""Longest step, rad or m: a machine is another one there."""
+_LESS = 0.9
+"""Share of the force along a step that may be left after it."""
+_QUICKLY = 0.02
+"""A derivative is used again if a step with it leaves less."""
+
+
+class Balance(NamedTuple):
+    """A machine with K tendons and n coordinates at a pose.
+
+    Attributes:
+        length_m: (K,) of the tendons.
+        moment: (K, n) ∂l/∂r.
+        load: (n,) generalised forces of weights and of springs in joints.
+    """
+
+    length_m: Array
+    moment: Array
+    load: Array
+
+
+class LinkFrames(NamedTuple):
+    """The N links at a pose.
+
+    Attributes:
+        origin_m: (N, 3) of the links' frames, in base axes.
+        axes: (N, 3, 3) of the frames, in columns.
+        by_force_m: (N, 3, n) generalised forces of unit forces in base axes at the origins.
+        by_moment: (N, 3, n) of unit moments.
+    """
+
+    origin_m: Array
+    axes: Array
+    by_force_m: Array
+    by_moment: Array
+
+
+@dataclass(frozen=True)
+class LinkForce:
+    """A force on a link, which keeps its direction in base axes while the machine gives way.
+
+    Attributes:
+        link: number of the link, from 0 on.
+        point_m: (3,) where it acts, in the link's frame; on its axis at (place, 0, 0).
+        force_n: (3,) in base axes.
+    """
+
+    link: int
+    point_m: Array
+    force_n: Array
+
+
+class MachineStatics:
+    """A machine, as its model or with changes of its own, at any pose.
+
+    Attributes:
+        machine: the machine.
+        model: its own copy of the model.
+        stiffness_n_m: (K,) of the tendons.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        model: mujoco.MjModel | None = None,
+        stiffness_n_m: Array | None = None,
+    ) -> None:
+        self.machine = machine
+        self.model = machine.model if model is None else model
+        tendons = machine.tendons
+        self.stiffness_n_m = tendons.stiffness_n_m if stiffness_n_m is None else stiffness_n_m
+        self._data = mujoco.MjData(self.model)
+        self._coordinates = machine.coordinates
+        self._tied = bool(machine.coordinates.ties)
+        self._columns = machine.coordinates.joints
+        self._moment_cells = _moment_cells(self.model)
+        self._moments = np.zeros((self.model.ntendon, self.model.nv))
+        self._bias = np.zeros(self.model.nv)
+        self._has_springs = bool(self.model.jnt_stiffness.any() or self.model.body_gravcomp.any())
+        self._links = machine.links
+        self._of_body = (np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv)))
+
+    def at(self, pose: Array) -> Balance:
+        """Lengths and forces at a pose (n,)."""
+        data = self._data
+        model = self.model
+        data.qpos[:] = self._coordinates.positions(pose)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_rne(model, data, 0, self._bias)
+        load = -self._bias
+        if self._has_springs:
+            mujoco.mj_passive(model, data)
+            load += data.qfrc_passive
+        rows, places, columns = self._moment_cells
+        self._moments[rows, columns] = data.ten_J.reshape(-1)[places]
+        ids = self.machine.tendons.ids
+        moment = self._moments[ids]
+        return Balance(data.ten_length[ids], self._reduced(moment), self._reduced(load))
+
+    def tensions_n(self, lengths_m: Array, unstretched_m: Array) -> Array:
+        """(K,) tensions at lengths (K,), of cables that pull and never push."""
+        return np.maximum(self.stiffness_n_m * (lengths_m - unstretched_m), 0.0)
+
+    def residual(self, pose: Array, unstretched_m: Array) -> Array:
+        """(n,) F: generalised forces that nothing balances at a pose (n,)."""
+        balance = self.at(pose)
+        tensions = self.tensions_n(balance.length_m, unstretched_m)
+        return np.asarray(balance.load - tensions @ balance.moment)
+
+    def slope(self, pose: Array, unstretched_m: Array, residual: Array) -> Array:
+        """(n, n) ∂F/∂r at a pose (n,) with the residual (n,)."""
+        count = len(pose)
+        slope = np.empty((count, count))
+        for j in range(count):
+            moved = pose.copy()
+            moved[j] += _STEP
+            slope[:, j] = (self.residual(moved, unstretched_m) - residual) / _STEP
+        return slope
+
+    def load_slope(self, pose: Array, tensions_n: Array) -> Array:
+        """(n, n) derivative by the pose of the forces at constant tensions (K,)."""
+        here = self.at(pose)
+        residual = here.load - tensions_n @ here.moment
+        slope = np.empty((len(pose), len(pose)))
+        for j in range(len(pose)):
+            moved = pose.copy()
+            moved[j] += _STEP
+            there = self.at(moved)
+            slope[:, j] = (there.load - tensions_n @ there.moment - residual) / _STEP
+        return slope
+
+    def links(self) -> LinkFrames:
+        """The links at the pose that was asked for last."""
+        data = self._data
+        links = self._links
+        count = len(links.bodies)
+        turns = data.xmat[links.bodies].reshape(count, 3, 3)
+        origins = data.xpos[links.bodies] + np.einsum("nij,nj->ni", turns, links.origin_m)
+        by_force = np.empty((count, 3, self.model.nv))
+        by_moment = np.empty((count, 3, self.model.nv))
+        for n, body in enumerate(links.bodies.tolist()):
+            mujoco.mj_jac(self.model, data, by_force[n], by_moment[n], origins[n], body)
+        return LinkFrames(
+            origins, turns @ links.axes, self._reduced(by_force), self._reduced(by_moment)
+        )
+
+    def by_masses(self, bodies: Array) -> tuple[Array, Array, Array]:
+        """How weights follow from masses and their centres, at the pose asked for last.
+
+        Returns:
+            (B, n) forces by the mass of each of B bodies; (B, 3, n) by the place of its centre in
+            its own axes; (3, n) by the components of gravity.
+        """
+        data = self._data
+        gravity = self.model.opt.gravity
+        at_point, turning = self._of_body
+        of_mass = np.empty((len(bodies), self.model.nv))
+        of_centre = np.empty((len(bodies), 3, self.model.nv))
+        of_gravity = np.zeros((3, self.model.nv))
+        for row, body in enumerate(bodies.tolist()):
+            mujoco.mj_jac(self.model, data, at_point, turning, data.xipos[body], body)
+            mass = float(self.model.body_mass[body])
+            of_mass[row] = gravity @ at_point
+            # a centre that moves by R d adds the moment (R d) x m g
+            axes = data.xmat[body].reshape(3, 3)
+            moments = np.cross(axes.T, mass * gravity)
+            of_centre[row] = moments @ turning
+            of_gravity += mass * at_point
+        return self._reduced(of_mass), self._reduced(of_centre), self._reduced(of_gravity)
+
+    def rest(
+        self, unstretched_m: Array, forces: Sequence[LinkForce], start: Array
+    ) -> tuple[Array, Array]:
+        """Where the machine comes to rest under forces, from a pose (n,) on, and tensions (K,).
+
+        Newton's steps r - H⁻¹ F, shortened until the force along the step is less than it was:
+        rest is where the potential energy is least, and F is its steepest descent. A derivative is
+        used again as long as it leads on quickly.
+
+        Raises:
+            MachineError: it finds no rest: the forces are larger than it can bear, or nothing
+                holds one of its joints.
+        """
+        pose = start.copy()
+        residual = self._unbalanced(pose, unstretched_m, forces)
+        inverse = self._compliance(pose, unstretched_m, forces, residual)
+        is_fresh = True
+        for _ in range(_MOST_STEPS):
+            step = inverse @ residual
+            length = float(np.abs(step).max())
+            if length < _REST:
+                return pose, self.tensions_n(self.at(pose).length_m, unstretched_m)
+            downhill = float(step @ residual)
+            share = min(1.0, _LONGEST / length)
+            tried = pose + share * step
+            remaining = self._unbalanced(tried, unstretched_m, forces)
+            while is_fresh and abs(float(step @ remaining)) > _LESS * downhill:
+                share *= 0.5
+                if share < _LEAST_SHARE:
+                    raise self._no_rest()
+                tried = pose + share * step
+                remaining = self._unbalanced(tried, unstretched_m, forces)
+            left = abs(float(step @ remaining)) / downhill
+            if is_fresh or left < _LESS:
+                pose = tried
+                residual = remaining
+            is_fresh = left > _QUICKLY
+            if is_fresh:
+                inverse = self._compliance(pose, unstretched_m, forces, residual)
+        raise self._no_rest()
+
+    def _no_rest(self) -> MachineError:
+        return MachineError(
+            f"{self.machine.name}: finds no rest; a force may be larger than the tendons can bear, "
+            "or nothing holds one of its joints"
+        )
+
+    def _compliance(
+        self, pose: Array, unstretched_m: Array, forces: Sequence[LinkForce], residual: Array
+    ) -> Array:
+        """(n, n) -H⁻¹ at a pose: how the machine gives way; stiffened where it would give all."""
+        stiffness = np.empty((len(pose), len(pose)))
+        for j in range(len(pose)):
+            moved = pose.copy()
+            moved[j] += _STEP
+            stiffness[:, j] = (residual - self._unbalanced(moved, unstretched_m, forces)) / _STEP
+        scale = float(np.abs(np.diagonal(stiffness)).max())
+        if not scale > 0.0:
+            raise self._no_rest()
+        symmetric = 0.5 * (stiffness + stiffness.T)
+        added = 0.0
+        while True:
+            try:
+                np.linalg.cholesky(symmetric + added * np.eye(len(pose)))
+                break
+            except np.linalg.LinAlgError:
+                added = max(10.0 * added, 1e-6 * scale)
+        return np.linalg.inv(stiffness + added * np.eye(len(pose)))
+
+    def _unbalanced(self, pose: Array, unstretched_m: Array, forces: Sequence[LinkForce]) -> Array:
+        residual = self.residual(pose, unstretched_m)
+        if forces:
+            frames = self.links()
+            for force in forces:
+                residual = residual + force_on(frames, force)
+        return residual
+
+    def _reduced(self, generalised: Array) -> Array:
+        """Forces (..., nv) on all joints as forces (..., n) of the coordinates."""
+        if self._tied:
+            slope = self._coordinates.slope(self._data.qpos)
+            return np.asarray(generalised @ slope)
+        return np.asarray(generalised[..., self._columns])
+
+
+def force_on(frames: LinkFrames, force: LinkForce) -> Array:
+    """(n,) generalised forces of a force on a link."""
+    n = force.link
+    arm_m = frames.axes[n] @ force.point_m
+    moment = np.cross(arm_m, force.force_n)
+    return np.asarray(force.force_n @ frames.by_force_m[n] + moment @ frames.by_moment[n])
+
+
+def _moment_cells(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
+    """Rows, places and columns of the sparse ∂l/∂q in a dense (ntendon, nv) matrix."""
+    rows: list[int] = []
+    places: list[int] = []
+    for t in range(model.ntendon):
+        first = int(model.ten_J_rowadr[t])
+        count = int(model.ten_J_rownnz[t])
+        rows += [t] * count
+        places += range(first, first + count)
+    columns = model.ten_J_colind.reshape(-1)[places] if places else np.zeros(0, dtype=np.int64)
+    return np.array(rows, dtype=np.int64), np.array(places, dtype=np.int64), columns
