@@ -24,6 +24,7 @@ from estimation_settings import estimation_settings
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_online.breath_readings import BreathState, Mark, after_reading
 from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
@@ -196,10 +197,10 @@ class Estimates:
         self._read = read
         self._freed = freed
         self._law = TorchLaw(arm)
-        self._judge = Judge(arm)
+        self._judge = Judge(FeltArm(arm))
         self._still = np.zeros((arm.joint_count, arm.joint_count))
         settings = estimation_settings()
-        self._unloaded = CalibratedArm(arm, self._law, settings)
+        self._unloaded = CalibratedArm(FeltArm(arm), self._law, settings)
         self._states = []
         readings = [read() for _ in range(1 if freed else settings.tare_samples)]
         for number, base_rad in enumerate(course.base_rad):

@@ -31,6 +31,7 @@ from rich.progress import track
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
 from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
@@ -216,8 +217,8 @@ class Bench:
         self.nominal = nominal
         self.case = case
         self.law = law
-        self.calibrator = Calibrator(arm, law)
-        self.judge = Judge(arm)
+        self.calibrator = Calibrator(FeltArm(arm), law)
+        self.judge = Judge(FeltArm(arm))
         self.still = np.zeros((arm.joint_count, arm.joint_count))
         self.length_m = nominal.length_m
         self.nothing = Drawn((), np.zeros(3), np.zeros((arm.segment_count, 2)))
@@ -277,7 +278,7 @@ class Bench:
     ) -> list[Touched]:
         """The same on an arm with friction: each contact comes to the untouched arm, and goes."""
         settings = estimation_settings()
-        unloaded = CalibratedArm(self.arm, self.law, settings)
+        unloaded = CalibratedArm(FeltArm(self.arm), self.law, settings)
         state = unloaded.begin(calibration)
         command = np.zeros(self.arm.joint_count)
         walk = built.walk(command)

@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
@@ -35,7 +36,7 @@ class EstimatedArm:
         self.mechanism = mechanism_of(self.arm)
         self.settings = estimation_settings(**{"tare_samples": 50} | settings)
         contacts = loaded.contacts(self.settings)
-        self.estimation = Estimation(self.arm, contacts, self.settings, 0.0)
+        self.estimation = Estimation(FeltArm(self.arm), contacts, self.settings, 0.0)
         self._message = JointState(name=list(self.arm.cable_names))
 
     def command(self, angles_rad: Array) -> None:

@@ -26,6 +26,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import calibration_of, write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model
 from cablesense_online.can.bus import FaultLedger
@@ -230,7 +231,7 @@ def _calibrate(path: Path) -> None:
     """Write the calibration of an arm by two unloaded readings."""
     loaded, unloaded_n, _ = rig()
     assert isinstance(loaded.model, LawModel)
-    calibrator = Calibrator(ARM, loaded.model)
+    calibrator = Calibrator(FeltArm(ARM), loaded.model)
     unloaded = Unloaded(unloaded_n, STRAIGHT, SETTINGS.tare_samples, 10**18)
     write_calibration(path, calibrator.from_poses([unloaded] * 2), ARM)
 
@@ -268,7 +269,7 @@ def _edited_array(draw: Draw, array: Array) -> Array:
 
 
 def _use_arm_calibration(path: Path) -> None:
-    calibration = calibration_of(path.read_bytes(), ARM, str(path))
+    calibration = calibration_of(path.read_bytes(), FeltArm(ARM), str(path))
     numbers = [calibration.mean, calibration.std]
     require(np.isfinite(numbers).all(), f"a calibration of {numbers}")
     loaded, unloaded_n, _ = rig()

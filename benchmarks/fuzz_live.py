@@ -29,6 +29,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.answer import Answer
 from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import CanInterface, FaultLedger
@@ -265,7 +266,7 @@ class TaredEstimation:
 
     def __init__(self) -> None:
         loaded, unloaded_n, self.pushed_n = rig()
-        self.estimation = Estimation(ARM, loaded.contacts(SETTINGS), SETTINGS, 0.0)
+        self.estimation = Estimation(FeltArm(ARM), loaded.contacts(SETTINGS), SETTINGS, 0.0)
         contacts = loaded.contacts(SETTINGS)
         assert isinstance(contacts, LawContacts)
         self._judge = contacts

@@ -24,6 +24,7 @@ import pandas as pd
 from rich.console import Console
 
 from cablesense_contact.calibration import Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap.adaptation import adapt_to, withheld_trials
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recorded_contacts import recorded_errors, tares_of
@@ -112,7 +113,7 @@ def _error_at_peaks_n(recording: Recording, law: TorchLaw) -> float:
     size = pd.Series(np.linalg.norm(recording.load_n, axis=1))
     near = size >= _NEAR_PEAK * size.groupby(recording.trial).transform("max")
     judged = tares_of(recording).of_row >= 0
-    known = Calibrator(law.arm, law).by_tolerances()
+    known = Calibrator(FeltArm(law.arm), law).by_tolerances()
     errors = recorded_errors(recording, law, calibration=known)
     peaks = near.to_numpy()[judged] & (errors.truth.segment > 0)
     return float(np.abs(errors.answer.force_n - errors.truth.magnitude_n)[peaks].mean())

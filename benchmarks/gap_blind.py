@@ -40,6 +40,7 @@ from estimation_settings import estimation_settings
 from rich.progress import track
 
 from cablesense_base import Array
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.law import Law
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.scoring import Truth, read_answers
@@ -207,7 +208,7 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
 def _refused_tare(arm: Arm, law: Law, readings_n: Array) -> str:
     """Why readings (R, M) are no tare of the straight arm, as text; empty where they are one."""
     settings = estimation_settings(tare_samples=len(readings_n))
-    unloaded = CalibratedArm(arm, law, settings)
+    unloaded = CalibratedArm(FeltArm(arm), law, settings)
     state = unloaded.at(unloaded.begin(), np.zeros(arm.joint_count))
     for reading_n in readings_n.tolist():
         state = with_reading(state, reading_n, settings.tare_samples)

@@ -47,6 +47,7 @@ from rclpy.subscription import Subscription
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model_of
 from cablesense_msgs_py.qos import Qos
@@ -130,7 +131,7 @@ def calibrate(path: Path) -> None:
         several_n = np.tile(tension_n, (POSE_READINGS, 1))
         reading_n = read_tensions_n(several_n, arm.sensors, rng).mean(axis=0)
         unloaded.append(Unloaded(reading_n, command, POSE_READINGS, time.time_ns()))
-    calibrator = Calibrator(arm, LawModel(find_model_of(arm, ARM), arm))
+    calibrator = Calibrator(FeltArm(arm), LawModel(find_model_of(arm, ARM), arm))
     write_calibration(path, calibrator.from_poses(unloaded), arm)
 
 

@@ -127,7 +127,7 @@ def _in_process(count: int) -> dict[str, Any]:
     loaded = load_model(ARM, "")
     unloaded_and_pushed = _samples()
     settings = estimation_settings(tare_samples=100)
-    estimation = Estimation(loaded.arm, loaded.contacts(settings), settings, 0.0)
+    estimation = Estimation(loaded.machine, loaded.contacts(settings), settings, 0.0)
     taken_us: list[float] = []
     stamp_ns = time.time_ns()
     for samples, repeats in zip(unloaded_and_pushed, (300, count), strict=True):

@@ -5,7 +5,7 @@ Short names for programs that estimate contacts from arrays:
     from cablesense_contact import Calibrator, Judge, LawModel, Unloaded, find_model
 
     law = LawModel(find_model("cdsm_anywhere"), arm)
-    calibrator = Calibrator(arm, law)
+    calibrator = Calibrator(FeltArm(arm), law)
     calibration = calibrator.updated(calibrator.by_tolerances(), Unloaded(reading_n, command_rad))
 
 `law` is what a model file answers, `calibration` how well the arm is known, and `judgement` what

@@ -22,12 +22,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from cablesense_base import Array, CableSenseError
-from cablesense_contact.cable_slides import CableSlides
+from cablesense_contact.felt import FeltMachine, still
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
-from cablesense_sim.arm import Arm
-from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
-from cablesense_sim.uncertain_arm import arm_parameters
 
 REFUSED_BELOW = 1e-6
 """Probability, by the innovation's χ², below which an unloaded reading is refused: it is not one
@@ -45,8 +42,6 @@ MODEL_STD_N = 0.01
 digits, temperature, small vibrations."""
 
 
-_SLACK_BELOW_STD = 4.0
-"""An unloaded reading below this many deviations of a sensor's zero may be of a slack cable."""
 _SLACK_STD_N = 1e3
 """Deviation of such a reading: it counts nothing."""
 
@@ -85,7 +80,8 @@ class Calibration:
         covariance: (P, P) of them, as prior and unloaded readings say.
         prior_mean, prior_covariance: what was known before the unloaded readings.
         unloaded: the readings, in the order in which they were taken.
-        chi2: the least sum of squares of the fit.
+        chi2: the least sum of squares of the fit, and
+        compared: how many numbers of the readings were compared.
         made_from: where the prior comes from, as a sentence.
     """
 
@@ -96,13 +92,13 @@ class Calibration:
     prior_covariance: Array
     unloaded: tuple[Unloaded, ...] = ()
     chi2: float = 0.0
+    compared: int = 0
     made_from: str = "the tolerances of the arm file"
 
     @property
     def misfit_probability(self) -> float:
         """Probability of residuals this large if the arm is as its tolerances say."""
-        channels = sum(len(one.reading_n) for one in self.unloaded)
-        return float(chi2.sf(self.chi2, channels)) if channels else 1.0
+        return float(chi2.sf(self.chi2, self.compared)) if self.compared else 1.0
 
     @property
     def as_described(self) -> bool:
@@ -128,7 +124,7 @@ class _Fit(NamedTuple):
         mean, covariance: (P,) and (P, P) after the update.
         cost: the sum of squares at `about`.
         chi2: that of the normalised innovations.
-        slopes: (K, M, P) of the readings by what lasts: without what friction carries, and by the
+        slopes: (K, D, P) of the readings by what lasts: without what friction carries, and by the
             coefficient of what it carries in each pose.
     """
 
@@ -141,30 +137,27 @@ class _Fit(NamedTuple):
 
 
 class Calibrator:
-    """Makes calibrations of one arm from unloaded readings.
+    """Makes calibrations of one machine from unloaded readings.
 
     Attributes:
-        parameters: the arm's uncertain parameters.
+        parameters: what is uncertain about the machine.
     """
 
-    def __init__(self, arm: Arm, law: Law) -> None:
-        self.parameters = arm_parameters(arm)
-        self._arm = arm
+    def __init__(self, machine: FeltMachine, law: Law) -> None:
+        self.parameters = machine.parameters
+        self._machine = machine
         self._law = law
-        self._slides = CableSlides(arm)
-        self._carried = self.parameters.carried_friction
+        self._slides = machine.slides
+        self._carried = machine.carried_friction
         self._is_carried = np.zeros(len(self.parameters), dtype=bool)
         self._is_carried[self._carried] = True
-        self._zeros = self.parameters.slices["sensor_zero"]
-        sensor_n = np.hypot(arm.tolerances.sensor_zero_n, reading_variance_n2(arm.sensors) ** 0.5)
-        self._slack_below_n = _SLACK_BELOW_STD * float(sensor_n)
-        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+        self._unrest = still(machine)
 
     def by_tolerances(self) -> Calibration:
         """What the arm file alone says."""
         mean = self.parameters.prior_mean
         covariance = np.diag(self.parameters.prior_std**2)
-        return Calibration(self._arm.identity, mean, covariance, mean, covariance)
+        return Calibration(self._machine.identity, mean, covariance, mean, covariance)
 
     def moved(self, calibration: Calibration) -> Calibration:
         """The calibration after the arm has moved: the slides of its cables are unknown again."""
@@ -178,7 +171,7 @@ class Calibrator:
             return calibration
         drift_n = self._drift_n(calibration.changed_ns, now_ns)
         covariance = calibration.covariance.copy()
-        zeros = np.arange(self._zeros.start, self._zeros.stop)
+        zeros = self._machine.zeros
         covariance[zeros, zeros] += drift_n**2
         return replace(calibration, covariance=covariance)
 
@@ -193,7 +186,8 @@ class Calibrator:
         fitted = self._fitted(replace(calibration, unloaded=(*calibration.unloaded, unloaded)))
         # the innovation's χ² is by how much the least sum of squares grows
         misfit = fitted.chi2 - calibration.chi2
-        self._require_unloaded(misfit, len(unloaded.reading_n), force=force)
+        compared = fitted.compared - calibration.compared
+        self._require_unloaded(misfit, compared, force=force)
         return fitted
 
     def without_last(self, calibration: Calibration) -> Calibration:
@@ -227,7 +221,7 @@ class Calibrator:
         covariance = calibration.prior_covariance
         unloaded = calibration.unloaded
         if not unloaded:
-            return replace(calibration, mean=prior, covariance=covariance, chi2=0.0)
+            return replace(calibration, mean=prior, covariance=covariance, chi2=0.0, compared=0)
         slides = [self._slides_of(one) for one in unloaded]
         now_ns = calibration.changed_ns
         # what was known before the last reading is near
@@ -249,7 +243,13 @@ class Calibrator:
                 break
         assert best is not None
         mean = best.mean if converged else np.where(self._is_carried, best.mean, best.about)
-        return replace(calibration, mean=mean, covariance=best.covariance, chi2=best.chi2)
+        return replace(
+            calibration,
+            mean=mean,
+            covariance=best.covariance,
+            chi2=best.chi2,
+            compared=best.slopes.shape[0] * best.slopes.shape[1],
+        )
 
     def _fit_about(
         self, about: Array, calibration: Calibration, slides: Sequence[Slides], now_ns: int
@@ -297,12 +297,12 @@ class Calibrator:
     def _linear(
         self, beliefs: Sequence[Belief], unloaded: Sequence[Unloaded]
     ) -> tuple[Array, Array]:
-        """Slopes (K, M, P) of unloaded readings by the parameters, and innovations (K, M).
+        """Slopes (K, D, P) of unloaded readings by the parameters, and innovations (K, D).
 
         Each reading has a belief of its own; those with the same mean are asked together.
         """
-        slopes = np.empty((len(unloaded), self._arm.cable_count, len(self.parameters)))
-        innovations = np.empty(slopes.shape[:2])
+        slopes: list[Array] = [np.zeros(0)] * len(unloaded)
+        innovations: list[Array] = [np.zeros(0)] * len(unloaded)
         means = np.array([belief.mean for belief in beliefs])
         _, first, alike = np.unique(means, axis=0, return_index=True, return_inverse=True)
         for number, one in enumerate(first):
@@ -314,31 +314,33 @@ class Calibrator:
                 beliefs[one].covariance,
                 self._unrest,
             )
-            slopes[rows] = seen.by_parameter
-            innovations[rows] = seen.innovation_n
-        return slopes, innovations
+            for place, row in enumerate(rows):
+                slopes[row] = seen.by_parameter[place]
+                innovations[row] = seen.innovation_n[place]
+        return np.array(slopes), np.array(innovations)
 
     def _noise_n2(self, unloaded: Unloaded, now_ns: int) -> Array:
-        """Covariance (M, M) of the channels' means against the law and the zeros of now.
+        """Covariance (D, D) of the channels' means against the law and the zeros of now.
 
         A cable that is nearly slack says nothing: on which side of the kink it is depends on its
         own unknown zero.
         """
         drift_n = self._drift_n(unloaded.taken_ns, now_ns)
-        noise = mean_variance_n2(self._arm.sensors, unloaded.count)
-        slack = unloaded.reading_n < self._slack_below_n
-        return np.diag(noise + MODEL_STD_N**2 + drift_n**2 + slack * _SLACK_STD_N**2)
+        noise = self._machine.mean_variance(unloaded.count)
+        slack = unloaded.reading_n < self._machine.slack_below
+        variance = noise + MODEL_STD_N**2 + drift_n**2 + slack * _SLACK_STD_N**2
+        return self._machine.innovation_noise(unloaded.command_rad, variance)
 
     def _drift_n(self, from_ns: int, to_ns: int) -> float:
         if not from_ns:
             return 0.0
-        return self._arm.tolerances.drift_n_per_hour * abs(to_ns - from_ns) / 3.6e12
+        return self._machine.drift_per_hour * abs(to_ns - from_ns) / 3.6e12
 
     def _require_unloaded(self, misfit: float, count: int, *, force: bool) -> None:
         if float(chi2.sf(misfit, count)) < REFUSED_BELOW and not force:
             raise CalibrationError(
                 f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
-                f"{count} channels, where {chi2.isf(REFUSED_BELOW, count):.0f} would do; is it "
+                f"{count} numbers, where {chi2.isf(REFUSED_BELOW, count):.0f} would do; is it "
                 "touched, somewhere else than commanded, or not the arm of the file? Larger "
                 "tolerances in the arm file, or force, accept them"
             )

@@ -12,8 +12,8 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_base.files import read_bounded_bytes, write_atomically
 from cablesense_contact.calibration import Calibration, CalibrationError, Unloaded
+from cablesense_contact.felt import FeltMachine
 from cablesense_sim.arm import Arm
-from cablesense_sim.uncertain_arm import arm_parameters
 
 FORMAT = "cablesense-calibration/2"
 MAX_FILE_BYTES = 64 * 1024 * 1024
@@ -41,6 +41,7 @@ def calibration_bytes(calibration: Calibration, described: Arm | None = None) ->
         "arm": calibration.arm_identity,
         "made_from": calibration.made_from,
         "chi2": calibration.chi2,
+        "compared": calibration.compared,
     }
     if described is not None:
         header["described"] = described.model_dump(mode="json")
@@ -68,18 +69,18 @@ def _came_from(unloaded: Unloaded) -> Array:
     return unloaded.command_rad if came_from_rad is None else came_from_rad
 
 
-def read_calibration(path: str | Path, arm: Arm) -> Calibration:
-    """Read the calibration of an arm.
+def read_calibration(path: str | Path, machine: FeltMachine) -> Calibration:
+    """Read the calibration of a machine.
 
     Raises:
         CalibrationError: no calibration file, or one of another arm.
     """
     content = read_bounded_bytes(path, MAX_FILE_BYTES, "a calibration file", CalibrationError)
-    return calibration_of(content, arm, str(path))
+    return calibration_of(content, machine, str(path))
 
 
-def calibration_of(content: bytes, arm: Arm, source: str) -> Calibration:
-    """The calibration of an arm in the content of a file, which `source` names in errors.
+def calibration_of(content: bytes, machine: FeltMachine, source: str) -> Calibration:
+    """The calibration of a machine in the content of a file, which `source` names in errors.
 
     Raises:
         CalibrationError: no calibration, or one of another arm.
@@ -110,11 +111,12 @@ def calibration_of(content: bytes, arm: Arm, source: str) -> Calibration:
                 )
             ),
             chi2=float(header["chi2"]),
+            compared=int(header.get("compared", np.size(parts["readings_n"]))),
             made_from=str(header["made_from"]),
         )
     except Exception as error:  # NumPy raises whatever the broken place led to
         raise _no_calibration(source) from error
-    _require_fitting(calibration, arm, source)
+    _require_fitting(calibration, machine, source)
     return calibration
 
 
@@ -168,25 +170,26 @@ def _no_calibration(source: str) -> CalibrationError:
     )
 
 
-def _require_fitting(calibration: Calibration, arm: Arm, path: str) -> None:
-    if calibration.arm_identity != arm.identity:
+def _require_fitting(calibration: Calibration, machine: FeltMachine, path: str) -> None:
+    if calibration.arm_identity != machine.identity:
         raise CalibrationError(
-            f"{path}: is of arm {calibration.arm_identity[:80]}, not of {arm.identity}; calibrate "
-            "this arm, or give the file that it was made with"
+            f"{path}: is of arm {calibration.arm_identity[:80]}, not of {machine.identity}; "
+            "calibrate this arm, or give the file that it was made with"
         )
-    count = len(arm_parameters(arm))
+    count = len(machine.parameters)
     sizes = {len(calibration.mean), len(calibration.prior_mean)}
     sizes |= {len(calibration.covariance), len(calibration.prior_covariance)}
     if sizes != {count}:
         raise CalibrationError(
-            f"{path}: has {len(calibration.mean)} parameters; {arm.identity} has {count}: it was "
-            "made by another version, so calibrate again"
+            f"{path}: has {len(calibration.mean)} parameters; {machine.identity} has {count}: it "
+            "was made by another version, so calibrate again"
         )
     numbers = [calibration.mean, calibration.covariance, calibration.prior_mean]
     numbers += [calibration.prior_covariance, np.array([calibration.chi2])]
+    expected = (len(machine.channels.names),), (len(machine.command_names),)
     for one in calibration.unloaded:
         shapes = one.reading_n.shape, one.command_rad.shape
-        if shapes != ((arm.cable_count,), (arm.joint_count,)):
+        if shapes != expected:
             raise CalibrationError(f"{path}: holds a reading of another arm; calibrate again")
         numbers += [one.reading_n, one.command_rad]
     if not all(np.isfinite(each).all() for each in numbers):

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_contact.calibration import Calibration
-from cablesense_sim.arm import Arm
+from cablesense_sim.parameter_groups import GroupedParameters
 from cablesense_sim.tolerances import CARRIED_FRICTION
-from cablesense_sim.uncertain_arm import arm_parameters
 
 DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
@@ -38,13 +37,12 @@ class KindSummary:
     largest: float
 
 
-def summarised(calibration: Calibration, arm: Arm) -> list[KindSummary]:
-    """One row for each kind of uncertain parameters, in the order of `ArmParameters`.
+def summarised(calibration: Calibration, parameters: GroupedParameters) -> list[KindSummary]:
+    """One row for each kind of uncertain parameters, in their order.
 
     Carried friction is left out: it is a state of the last pose. So are parameters without
     tolerance.
     """
-    parameters = arm_parameters(arm)
     kinds: dict[str, list[int]] = {}
     units = {}
     for group in parameters.groups:

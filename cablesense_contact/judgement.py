@@ -11,14 +11,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from scipy.stats import chi2
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
-from cablesense_sim.arm import Arm
 
 LOG_PRIOR_WRENCH = math.log(0.01)
 """Of several contacts or a couple on one segment, against a single contact."""
@@ -34,10 +35,8 @@ IMPROBABLE = 1e-6
 """Probability of a misfit as large, below which a hypothesis does not explain a reading."""
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
-_KNOWN_N = 1.0
-"""A force is known if half of its interval is below this."""
 _KNOWN_SHARE = 0.3
-"""Or below this share of the force."""
+"""A force is known if half of its interval is below this share of it, or small."""
 
 
 class ContactState(Enum):
@@ -87,15 +86,15 @@ class _Rival:
 
 
 class Judge:
-    """Judges readings of one arm."""
+    """Judges readings of one machine."""
 
-    def __init__(self, arm: Arm, contact_threshold: float = 0.5) -> None:
-        self._names = arm.cable_names
-        self._friction = arm.touch.friction
+    def __init__(self, machine: FeltMachine, contact_threshold: float = 0.5) -> None:
+        self._names = machine.channels.names
+        self._units = machine.channels.units
+        self._links = machine.link_names
+        self._friction = machine.surface_friction
+        self._known_n = machine.known_n
         self._log_odds = math.log(contact_threshold / max(1.0 - contact_threshold, 1e-12))
-        channels = arm.cable_count
-        self._free_limit = float(chi2.isf(IMPROBABLE, channels))
-        self._contact_limit = float(chi2.isf(IMPROBABLE, channels - _CONTACT_NUMBERS))
 
     def __call__(self, seen: LawOutput, reading_n: Array) -> Judgement:
         """The judgement of one reading (M,); `seen` is a batch of one."""
@@ -107,7 +106,7 @@ class Judge:
         probabilities = weights / weights.sum()
         touched = contact >= self._log_odds
 
-        known = _force_is_known(seen)
+        known = self._force_is_known(seen)
         rivals = sorted(
             (rival for rival in self._rivals(seen) if known or not rival.same_moment),
             key=lambda rival: -rival.log_weight,
@@ -116,10 +115,11 @@ class Judge:
         stated = max(contact, 0.0)
         others = sum(math.exp(min(rival.log_total - stated, 50.0)) for rival in rivals)
         doubted = others / (1.0 + others) > DOUBTED_ABOVE
+        numbers = seen.innovation_n.shape[1]
         if touched:
-            fits = float(seen.contact_chi2[0]) <= self._contact_limit
+            fits = float(seen.contact_chi2[0]) <= largest_chi2(numbers - _CONTACT_NUMBERS)
         else:
-            fits = float(seen.free_chi2[0]) <= self._free_limit
+            fits = float(seen.free_chi2[0]) <= largest_chi2(numbers)
         state, doubt = self._state(best, known, touched=touched, doubted=doubted, fits=fits)
         if doubt and best.log_weight < stated - 5.0:
             doubt = "no single contact and no single fault explains the reading"
@@ -142,6 +142,16 @@ class Judge:
             return ContactState.UNCONFIRMED, best.sentence
         return (ContactState.CONTACT if known else ContactState.MOMENT), ""
 
+    def _force_is_known(self, seen: LawOutput) -> bool:
+        """Whether readings determine the lateral force; else the moment about the joint is."""
+        low_n, high_n = seen.magnitude_ci95_n[0].tolist()
+        size_n = float(np.hypot(*seen.force_n[0, 1:]))
+        return 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
+
+    def _link(self, number: int) -> str:
+        """A link's name in a sentence: `segment 2` of an arm."""
+        return self._links[number].replace("segment_", "segment ")
+
     def _slips(self, seen: LawOutput) -> bool:
         """Whether the force is outside the cone of friction, with 95 % confidence."""
         along_n, y, z = seen.force_n[0].tolist()
@@ -160,8 +170,8 @@ class Judge:
         yield _Rival(
             likeliest + each,
             likeliest + each + math.log(float(np.exp(faulty - likeliest).sum())),
-            f"{self._names[channel]} reads {abs(off_n):.1f} N too {much}, and nothing touches the "
-            "arm",
+            f"{self._names[channel]} reads {abs(off_n):.1f} {self._units[channel]} too {much}, "
+            "and nothing touches the arm",
             fault=True,
         )
         beside = seen.faulty_segment_evidence[0]
@@ -170,7 +180,7 @@ class Judge:
         yield _Rival(
             weight,
             weight,
-            f"{self._names[channel]} is wrong, beside a contact on segment {of_segment + 1}",
+            f"{self._names[channel]} is wrong, beside a contact on {self._link(of_segment)}",
             fault=True,
         )
         pairs = len(self._names) * (len(self._names) - 1) / 2
@@ -189,15 +199,14 @@ class Judge:
         yield _Rival(
             weight,
             weight,
-            f"several contacts or a couple on segment {segment + 1}",
+            f"several contacts or a couple on {self._link(segment)}",
             same_moment=segment == int(seen.contact_evidence[0].argmax()),
         )
         weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
         yield _Rival(weight, weight, "contacts on several segments")
 
 
-def _force_is_known(seen: LawOutput) -> bool:
-    """Whether readings determine the lateral force; else the moment about the joint is known."""
-    low_n, high_n = seen.magnitude_ci95_n[0].tolist()
-    size_n = float(np.hypot(*seen.force_n[0, 1:]))
-    return 0.5 * (high_n - low_n) <= max(_KNOWN_N, _KNOWN_SHARE * size_n)
+@cache
+def largest_chi2(numbers: int) -> float:
+    """χ² of residuals up to which they count as noise; of no residual any will do."""
+    return float(chi2.isf(IMPROBABLE, numbers)) if numbers > 0 else math.inf

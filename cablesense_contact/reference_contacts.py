@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95
@@ -54,15 +55,47 @@ class ContactResponse(NamedTuple):
     information_n2: Array
 
 
+class ReferenceLoads(NamedTuple):
+    """T contacts of `FORCE_N`, and what is read of the machine that bears them.
+
+    Attributes:
+        reading: (T, M) without noise.
+        command: (T, C).
+        link: (T,) numbers of the links, from 0 on.
+        place_m: (T,) along them.
+        direction: (T, 3) of the forces, in the links' axes.
+        reach_m: (T, 2) where such a link is touched.
+    """
+
+    reading: Array
+    command: Array
+    link: NDArray[np.int64]
+    place_m: Array
+    direction: Array
+    reach_m: Array
+
+
 class ReferenceContacts:
-    """Contacts of `FORCE_N` across every segment of an arm, in poses within a bend range.
+    """Contacts of `FORCE_N` across every link of a machine, in several poses.
 
     Attributes:
         prior_precision: (T, 4, 4) of place and force, before any reading.
     """
 
-    def __init__(self, arm: Arm, bend_rad: float = BEND_RAD) -> None:
-        """Find the rests of the arm of the file under these contacts.
+    def __init__(self, contacts: ReferenceLoads, torque_count: int) -> None:
+        """`torque_count` is T, of the machine that bears the contacts."""
+        self._loads = contacts
+        reach_m = contacts.reach_m
+        variances = np.empty((len(reach_m), 4))
+        variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
+        variances[:, 1] = _AXIAL_STD_N**2
+        variances[:, 2:] = _LATERAL_STD_N**2
+        self.prior_precision = np.eye(4) / variances[:, None]
+        self._unrest = np.zeros((torque_count, torque_count))
+
+    @classmethod
+    def of_arm(cls, arm: Arm, bend_rad: float = BEND_RAD) -> ReferenceContacts:
+        """The contacts of the arm of a file.
 
         Raises:
             EquilibriumError: the arm does not bear such a contact.
@@ -72,35 +105,34 @@ class ReferenceContacts:
         nominal = mechanism_of(arm)
         mechanism = amended(nominal, entries_of(arm))
         poses = rng.uniform(-bend_rad, bend_rad, (_POSES, arm.joint_count))
-        self._command_rad = np.repeat(poses, count, axis=0)
+        command_rad = np.repeat(poses, count, axis=0)
         segment = np.tile(np.arange(count), _POSES)
         rows = np.arange(len(segment))
         angle = rng.uniform(0.0, 2.0 * np.pi, len(segment))
         direction = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
-        axes = kinematics.segment_rotations(mechanism, self._command_rad)[rows, segment]
+        axes = kinematics.segment_rotations(mechanism, command_rad)[rows, segment]
         forces_n = np.zeros((len(segment), count, 3))
         forces_n[rows, segment] = FORCE_N * (axes @ direction[:, :, None])[..., 0]
-        held_m = held_lengths_m(nominal, self._command_rad)
-        rest = solve_equilibrium(mechanism, self._command_rad, forces_n, held_m=held_m)
-        self._reading_n = rest.tensions_n
-        self._segment = segment
-        self._direction = direction
-        self._place_m = mechanism.contact_m[segment]
-        reach_m = touched_places(arm).touched_m[segment]
-        variances = np.empty((len(segment), 4))
-        variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
-        variances[:, 1] = _AXIAL_STD_N**2
-        variances[:, 2:] = _LATERAL_STD_N**2
-        self.prior_precision = np.eye(4) / variances[:, None]
-        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+        held_m = held_lengths_m(nominal, command_rad)
+        rest = solve_equilibrium(mechanism, command_rad, forces_n, held_m=held_m)
+        loads = ReferenceLoads(
+            reading=rest.tensions_n,
+            command=command_rad,
+            link=segment,
+            place_m=mechanism.contact_m[segment],
+            direction=direction,
+            reach_m=touched_places(arm).touched_m[segment],
+        )
+        return cls(loads, arm.joint_count)
 
     def response(self, law: Law, mean: Array, covariance: Array) -> ContactResponse:
         """How readings follow contacts and parameters, at mean (P,) and covariance (P, P)."""
-        seen = law(self._reading_n, self._command_rad, mean, covariance, self._unrest)
-        rows = np.arange(len(self._segment))
-        by_place = seen.by_place[rows, self._segment]
-        by_force = seen.at_joint_m[rows, self._segment] + self._place_m[:, None, None] * by_place
-        moved = FORCE_N * (self._direction[:, None] @ by_place)
+        loads = self._loads
+        seen = law(loads.reading, loads.command, mean, covariance, self._unrest)
+        rows = np.arange(len(loads.link))
+        by_place = seen.by_place[rows, loads.link]
+        by_force = seen.at_joint_m[rows, loads.link] + loads.place_m[:, None, None] * by_place
+        moved = FORCE_N * (loads.direction[:, None] @ by_place)
         by_contact = seen.by_torque @ np.concatenate([moved, by_force], axis=1).transpose(0, 2, 1)
         return ContactResponse(by_contact, seen.by_parameter, seen.information_n2)
 
@@ -109,5 +141,6 @@ class ReferenceContacts:
         seen = self.response(law, mean, covariance)
         information = seen.by_contact.transpose(0, 2, 1) @ seen.information_n2 @ seen.by_contact
         spread = np.linalg.inv(information + self.prior_precision)[:, 1:, 1:]
-        variance = np.einsum("ti,tij,tj->t", self._direction, spread, self._direction)
+        direction = self._loads.direction
+        variance = np.einsum("ti,tij,tj->t", direction, spread, direction)
         return NORMAL_95 * float(np.median(np.sqrt(variance)))

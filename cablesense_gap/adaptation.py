@@ -16,6 +16,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
 from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
@@ -137,7 +138,7 @@ def adapt_to(
     anywhere = not isinstance(first, Estimator)  # both are judged on the same loads
     known = None
     if not isinstance(first, Estimator):
-        known = Calibrator(arm_of(first), first).by_tolerances()
+        known = Calibrator(FeltArm(arm_of(first)), first).by_tolerances()
     before = recorded_errors(recording, first, unseen, anywhere, known)
     adapted = None
     after = None

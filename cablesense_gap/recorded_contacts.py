@@ -19,6 +19,7 @@ from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import ANYWHERE
@@ -317,7 +318,7 @@ class RecordedArm:
         self._recording = recording
         self._tares = tares
         self._law = law
-        self._calibrator = Calibrator(law.arm, law)
+        self._calibrator = Calibrator(FeltArm(law.arm), law)
         self._slides = CableSlides(law.arm)
         self._calibration = calibration
         self._by_poses: Calibration | None = None
@@ -334,7 +335,7 @@ class RecordedArm:
         one at the place of the load.
         """
         recording = self._recording
-        judge = Judge(self._law.arm)
+        judge = Judge(FeltArm(self._law.arm))
         at_m = loads_at_m(recording, self._law.arm)
         position = np.cumsum(rows) - 1
         count = int(rows.sum())

@@ -98,10 +98,14 @@ class ContractError(CableSenseError):
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of an arm of `segment_count` segments; `prefix` goes before each name."""
+    """The frames of a machine with `segment_count` links; `prefix` goes before each name.
+
+    Links are the segments of an arm, `segment_1` …, unless they have `names` of their own.
+    """
 
     segment_count: int
     prefix: str = ""
+    names: tuple[str, ...] = ()
 
     @property
     def base(self) -> str:
@@ -110,6 +114,8 @@ class Frames:
 
     def segment(self, number: int) -> str:
         """The frame of segment `number`, counted from 1."""
+        if self.names:
+            return f"{self.prefix}{self.names[number - 1]}"
         return f"{self.prefix}segment_{number}"
 
     def segment_number(self, frame_id: str) -> int:
@@ -118,6 +124,9 @@ class Frames:
         Raises:
             ContractError: the frame is not one of this arm's segments.
         """
+        frames = [self.segment(number) for number in range(1, len(self.names) + 1)]
+        if frame_id in frames:
+            return 1 + frames.index(frame_id)
         match = re.fullmatch(re.escape(self.prefix) + r"segment_([1-9][0-9]{0,3})", frame_id)
         number = int(match.group(1)) if match else 0
         if not 1 <= number <= self.segment_count:

@@ -7,7 +7,7 @@ Programs that estimate contacts import these short names:
     loaded = load_model("cdsm", "")
     settings = EstimationSettings(contact_threshold=0.5, ...)
     contacts = loaded.contacts(settings)
-    estimation = Estimation(loaded.arm, contacts, settings, time.monotonic())
+    estimation = Estimation(loaded.machine, contacts, settings, time.monotonic())
     answer = estimation.sample(serialized_joint_state, time.time_ns(), time.monotonic())
 
 A name is imported when it is first used, so that `import cablesense_online` itself costs nothing.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, Estimate
+from cablesense_contact.felt import LinksAtPose
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tare
-from cablesense_sim import kinematics
-from cablesense_sim.mechanism import Mechanism
 
 _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
@@ -159,21 +158,18 @@ class ContactPose(NamedTuple):
 
 
 class ContactStatics:
-    """Contacts at one pose of the arm, in base axes and at the joints.
+    """Contacts at one pose of the machine, in base axes and at the joints.
 
     A contact on segment n with the force f and the moment m about the joint centre, in the
     segment's axes, makes the joint torques A_n' f + B_n' (m x e) with e the segment's x axis, A_n
     the torques of unit forces at the joint centre and B_n their slope by the place.
     """
 
-    def __init__(self, mechanism: Mechanism, pose_rad: Array) -> None:
-        """For a pose (2N,)."""
-        self._mechanism = mechanism
-        self._axes = kinematics.segment_rotations(mechanism, pose_rad)
-        at_joints = replace(mechanism, contact_m=np.zeros(mechanism.segment_count))
-        self._joints_m = kinematics.contact_points_m(at_joints, pose_rad)
-        torques = kinematics.contact_torques(mechanism, pose_rad, self._axes)
-        self._by_force_m, self._by_place = torques
+    def __init__(self, links: LinksAtPose) -> None:
+        self._axes = links.axes
+        self._joints_m = links.origin_m
+        self._by_force_m = links.by_force_m
+        self._by_place = links.by_place
 
     def base_wrench(self, contacts: Sequence[Contact]) -> list[float]:
         """(6,) force, N, and moment about the base frame's origin, N·m, of all contacts."""
@@ -186,8 +182,8 @@ class ContactStatics:
         return wrench.tolist()
 
     def joint_torques_n_m(self, contacts: Sequence[Contact]) -> list[float]:
-        """(2N,) torques of all contacts at the joints."""
-        torques = np.zeros(self._mechanism.joint_count)
+        """(T,) torques of all contacts at the joints."""
+        torques = np.zeros(self._by_place.shape[2])
         for contact in contacts:
             n = contact.segment - 1
             (_, about_y, about_z) = contact.wrench[3:]

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.cable_slides import CableSlides, LastWay
+from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
+from cablesense_contact.felt import FeltMachine, SlidesUnderLoad, still
 from cablesense_contact.judgement import Judge
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
-from cablesense_contact.slides_under_load import SlidesUnderLoad
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import (
     MOST_KEPT,
@@ -28,7 +28,6 @@ from cablesense_online.tare import (
     is_same_pose,
     unloaded_reading,
 )
-from cablesense_sim.arm import Arm
 
 _AGED_EVERY_NS = 30_000_000_000
 """How often the drift of the sensors' zeros is added to what is known."""
@@ -90,15 +89,15 @@ class CalibratedState(UnloadedState[Calibration]):
 
 
 class CalibratedArm:
-    """The unloaded state of an arm with a law; an `UnloadedArm`."""
+    """The unloaded state of a machine with a law; an `UnloadedArm`."""
 
-    def __init__(self, arm: Arm, law: Law, settings: EstimationSettings) -> None:
-        self.calibrator = Calibrator(arm, law)
+    def __init__(self, machine: FeltMachine, law: Law, settings: EstimationSettings) -> None:
+        self.calibrator = Calibrator(machine, law)
         self._law = law
         self._settings = settings
-        self._judge = Judge(arm)
-        self._slides = CableSlides(arm)
-        self._still = np.zeros((arm.joint_count, arm.joint_count))
+        self._judge = Judge(machine)
+        self._slides = machine.slides
+        self._still = still(machine)
 
     def begin(self, calibration: Calibration | None = None) -> CalibratedState:
         """The arm as well known as a calibration says, or as its tolerances."""

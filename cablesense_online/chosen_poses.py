@@ -13,6 +13,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import MODEL_STD_N, Calibration, Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import ReferenceContacts
 from cablesense_sim import kinematics
@@ -89,7 +90,7 @@ def chosen_poses(
     Raises:
         PoseError: in too few poses all cables are taut.
     """
-    calibrator = Calibrator(arm, law)
+    calibrator = Calibrator(FeltArm(arm), law)
     prior = calibrator.by_tolerances()
     candidates = _candidates(arm, law, prior, bend_rad, np.random.default_rng(seed))
     if len(candidates) < count:
@@ -140,10 +141,10 @@ class _Design:
         self._predicted = UnloadedReadings(arm, law)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
         self._carried = np.zeros(len(prior.mean), dtype=bool)
-        self._carried[calibrator.parameters.carried_friction] = True
+        self._carried[FeltArm(arm).carried_friction] = True
         self._carried_variance = np.diagonal(prior.covariance)[self._carried]
         self._mean_variance_n2 = mean_variance_n2(arm.sensors, readings) + MODEL_STD_N**2
-        contacts = ReferenceContacts(arm)
+        contacts = ReferenceContacts.of_arm(arm)
         seen = contacts.response(law, prior.mean, prior.covariance)
         self._by_contact = seen.by_contact
         self._prior_precision = contacts.prior_precision

@@ -22,6 +22,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
@@ -237,9 +238,9 @@ class Commissioning:
         self._arm = arm
         self._law = law
         self._settings = settings or CommissioningSettings()
-        self._calibrator = Calibrator(arm, law)
-        self._judge = Judge(arm, _TOUCHED_PROBABILITY)
-        self._contacts = ReferenceContacts(arm)
+        self._calibrator = Calibrator(FeltArm(arm), law)
+        self._judge = Judge(FeltArm(arm), _TOUCHED_PROBABILITY)
+        self._contacts = ReferenceContacts.of_arm(arm)
         self._unloaded = UnloadedReadings(arm, law)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
         self._unsteady_n = _UNSTEADY_STD * math.sqrt(reading_variance_n2(arm.sensors))

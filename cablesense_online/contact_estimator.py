@@ -18,6 +18,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration
+from cablesense_contact.felt import FeltMachine
 from cablesense_msgs_py.messages import (
     BREATH_END,
     ForceState,
@@ -37,7 +38,6 @@ from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, S
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import TareError, UnloadedState, refusal, with_reading
 from cablesense_online.transients import RecentMoments, with_moment
-from cablesense_sim.arm import Arm, per_segment
 
 _REFUSED = {ProblemKind.CLOCK: ForceState.STALE, ProblemKind.MISFIT: ForceState.IMPLAUSIBLE}
 _ASSUMED_POSE_RAD = 0.01
@@ -112,24 +112,25 @@ class ContactEstimator:
         gate: says whether the arm moves.
     """
 
-    def __init__(self, arm: Arm, contacts: ContactFinder, settings: EstimationSettings) -> None:
+    def __init__(
+        self, machine: FeltMachine, contacts: ContactFinder, settings: EstimationSettings
+    ) -> None:
         self.settings = settings
         self.contacts = contacts
         self.gate = MotionGate(settings)
-        self._arm = arm
+        self._machine = machine
         self._reader = EffortReader()
-        self._cable_order = NamedOrder(arm.cable_names, "cables")
-        self._joint_order = NamedOrder(arm.joint_names, "joints")
-        self._limits = ReadingLimits(arm.sensors.range_n)
-        length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
-        self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-        self._contact_m = per_segment(arm.segments.contact_m, arm.segment_count)
+        self._cable_order = NamedOrder(machine.channels.names, "cables")
+        self._joint_order = NamedOrder(machine.command_names, "joints")
+        self._limits = ReadingLimits(machine.channels)
+        self._joint_m = machine.joint_m
+        self._contact_m = machine.contact_m
         self._settle_ns = round(settings.settle_s * 1e9)
 
     def adjusted(self, settings: EstimationSettings) -> ContactEstimator:
         """The same with settings of which only those that may change while running differ."""
         contacts = self.contacts.with_threshold(settings.contact_threshold)
-        return ContactEstimator(self._arm, contacts, settings)
+        return ContactEstimator(self._machine, contacts, settings)
 
     def begin(self, calibration: Calibration | None = None) -> EstimationState:
         """The state before any sample: straight, at rest, as well known as a calibration says.
@@ -137,9 +138,8 @@ class ContactEstimator:
         Raises:
             TareError: a calibration is given with a network, which takes none.
         """
-        straight_rad = np.zeros(self._arm.joint_count)
         unloaded = self.contacts.unloaded.begin(calibration)
-        return EstimationState(self.gate.at_rest(straight_rad), unloaded)
+        return EstimationState(self.gate.at_rest(self._machine.first_command), unloaded)
 
     def answer(self, state: EstimationState, sample: Sample) -> tuple[EstimationState, Answer]:
         """The answer to one sample, and the state after it."""
@@ -213,7 +213,7 @@ class ContactEstimator:
             probabilities=finding.probabilities,
             stamp_ns=stamp_ns,
             doubt=doubt,
-            pose_rad=motion.pose_rad,
+            pose_rad=motion.pose_rad if finding.pose_rad is None else finding.pose_rad,
         )
 
     def _tared_by_itself(

@@ -14,6 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, ContactPlace, Estimate
+from cablesense_contact.felt import FeltMachine, still
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
@@ -24,15 +25,9 @@ from cablesense_online.motion import Unrest
 from cablesense_online.tare import UnloadedArm
 from cablesense_online.tared_arm import TaredArm, TaredState
 from cablesense_sim.arm import Arm, per_segment
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.kinematics import contact_torques
-from cablesense_sim.touch import touched_places
 
 _ALONG_KNOWN_N = 1.0
 """An axial force is stated if its standard deviation is below this."""
-
-_SWING = 2.0
-"""A sudden acceleration swings an undamped arm by twice what a steady one bends it."""
 
 _STATES = {
     ContactState.FREE: ForceState.FREE,
@@ -69,6 +64,7 @@ class FoundContacts:
         probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
         estimate: the one behind a single contact, or none; None if the model states none.
         doubt: what else would explain the reading; empty without doubt.
+        pose_rad: pose in whose frames the contacts are; None where that is the command.
     """
 
     force: ForceState
@@ -76,6 +72,7 @@ class FoundContacts:
     contacts: tuple[Contact, ...]
     estimate: Estimate | None = None
     doubt: str = ""
+    pose_rad: Array | None = None
 
 
 class ContactFinder(Protocol):
@@ -112,7 +109,7 @@ class LawContacts:
 
     def __init__(
         self,
-        arm: Arm,
+        machine: FeltMachine,
         law: Law,
         unloaded: CalibratedArm,
         contact_threshold: float,
@@ -120,23 +117,17 @@ class LawContacts:
     ) -> None:
         self.unloaded = unloaded
         self._law = law
-        self._file = arm
+        self._machine = machine
         self._hidden_above_n = hidden_above_n
-        self._judge = Judge(arm, contact_threshold)
-        mechanism = mechanism_of(arm)
-        length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
-        self._middle_m = touched_places(arm).touched_m.mean(axis=1)
-        self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-        self._damping_n_m_s = mechanism.joint_damping_n_m_s
-        at_joint, slope = contact_torques(mechanism, np.zeros(arm.joint_count), np.eye(3))
-        by_force_m = at_joint + mechanism.centre_of_mass_m[:, None, None] * slope
-        self._inertia_kg_m2 = np.einsum("n,nxi,nxj->ij", mechanism.mass_kg, by_force_m, by_force_m)
-        self._still = np.zeros((arm.joint_count, arm.joint_count))
+        self._judge = Judge(machine, contact_threshold)
+        self._middle_m = machine.middle_m
+        self._joint_m = machine.joint_m
+        self._still = still(machine)
 
     def with_threshold(self, contact_threshold: float) -> LawContacts:
         """See `ContactFinder`."""
         return LawContacts(
-            self._file, self._law, self.unloaded, contact_threshold, self._hidden_above_n
+            self._machine, self._law, self.unloaded, contact_threshold, self._hidden_above_n
         )
 
     def find(
@@ -165,6 +156,7 @@ class LawContacts:
             contacts,
             self._estimate(seen, judgement),
             judgement.doubt,
+            self._machine.frame_pose(situation.pose_rad, seen.pose_rad[0]),
         )
 
     def _seen(
@@ -189,12 +181,10 @@ class LawContacts:
         return state, seen
 
     def _torques_of(self, unrest: Unrest | None) -> Array:
-        """(2N, 2N) covariance of the torques of inertia and damping, as large as they are."""
+        """(T, T) covariance of the torques of a motion."""
         if unrest is None:
             return self._still
-        swing_n_m = _SWING * self._inertia_kg_m2 * unrest.swing_rad_s2
-        damping_n_m = self._damping_n_m_s * unrest.speed_rad_s
-        return np.asarray(swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2))
+        return self._machine.unrest(unrest.speed_rad_s, unrest.swing_rad_s2)
 
     def _unseen_n(self, seen: LawOutput) -> float:
         """The force in the middle of where the last segment is touched that would not show, N.

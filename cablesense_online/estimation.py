@@ -12,6 +12,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
+from cablesense_contact.felt import FeltMachine
 from cablesense_msgs_py.messages import breath_turn
 from cablesense_online.answer import Answer
 from cablesense_online.contact_estimator import ContactEstimator, EstimationState, Sample
@@ -21,7 +22,6 @@ from cablesense_online.samples import SampleError
 from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
 from cablesense_online.statuses import SampleCounts
 from cablesense_online.tare import Tare
-from cablesense_sim.arm import Arm
 
 BREATHER_SILENT_AFTER_S = 1.0
 """A breather that has sent nothing for this long in mid-breath is assumed to have gone."""
@@ -39,7 +39,7 @@ class Estimation:
 
     def __init__(
         self,
-        arm: Arm,
+        machine: FeltMachine,
         contacts: ContactFinder,
         settings: EstimationSettings,
         now_s: float,
@@ -50,7 +50,7 @@ class Estimation:
         Raises:
             TareError: a calibration is given with a network, which takes none.
         """
-        self.estimator = ContactEstimator(arm, contacts, settings)
+        self.estimator = ContactEstimator(machine, contacts, settings)
         self.state: EstimationState = self.estimator.begin(calibration)
         self._breather_heard_s: float | None = None
         self.start(now_s)

@@ -1,19 +1,26 @@
-"""A model as the online estimator uses it: found, opened, and the arm that it is for."""
+"""A model as the online estimator uses it: found, opened, and the machine that it is for."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from cablesense_contact.calibration import Calibration
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.felt import FeltMachine
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, find_model_of
 from cablesense_contact.inference.model_file import read_model
+from cablesense_contact.law import Law
+from cablesense_contact.reference_contacts import ReferenceContacts
+from cablesense_msgs_py.topics import Frames
 from cablesense_online.calibrated_arm import CalibratedArm
-from cablesense_online.contacts import LawContacts, NetworkContacts
+from cablesense_online.contacts import ContactFinder, LawContacts, NetworkContacts
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tared_arm import TaredArm
 from cablesense_sim.arm import Arm, open_arm
@@ -22,12 +29,83 @@ AnyModel = LawModel | Estimator | MultiEstimator
 
 
 @dataclass(frozen=True)
-class LoadedModel:
-    """A model, the arm that it is used for, and the file that it came from."""
+class ModelSummary:
+    """What diagnostics say of a model.
 
-    arm: Arm
-    model: AnyModel
-    path: str
+    Attributes:
+        network: by which contacts are found, `anywhere` of the law.
+        force_range_n: largest force that it is for.
+        pose_range_deg: joint angles within ± this that it is for.
+    """
+
+    network: str
+    force_range_n: float
+    pose_range_deg: float
+
+
+class Loaded:
+    """A model file, opened, and the machine that it is used for.
+
+    Attributes:
+        machine: the machine.
+        path: of the model file.
+        summary: of the model.
+    """
+
+    def __init__(self, machine: FeltMachine, path: str, summary: ModelSummary) -> None:
+        self.machine = machine
+        self.path = path
+        self.summary = summary
+
+    @cached_property
+    def sha256(self) -> str:
+        """Of the file, which identifies the model in a recording."""
+        return hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
+
+    def contacts(self, settings: EstimationSettings) -> ContactFinder:
+        """Finds contacts by this model."""
+        raise NotImplementedError
+
+    @property
+    def law(self) -> Law | None:
+        """The law in it; None of a network."""
+        raise NotImplementedError
+
+    @property
+    def reference_contacts(self) -> Callable[[], ReferenceContacts]:
+        """Finds the machine under contacts that stand for all."""
+        raise NotImplementedError
+
+    def calibration(self, path: str) -> Calibration | None:
+        """The calibration in a file; None where none is named.
+
+        Raises:
+            CalibrationError: no calibration, or one of another machine.
+        """
+        return read_calibration(path, self.machine) if path else None
+
+
+def frames_of(machine: FeltMachine, prefix: str) -> Frames:
+    """The frames in which contacts on a machine are stated."""
+    names = machine.link_names
+    numbered = tuple(f"segment_{number + 1}" for number in range(len(names)))
+    return Frames(len(names), prefix, () if names == numbered else names)
+
+
+class LoadedModel(Loaded):
+    """The model of an arm.
+
+    Attributes:
+        arm: the arm.
+        model: the model.
+    """
+
+    def __init__(self, arm: Arm, model: AnyModel, path: str) -> None:
+        metadata = model.metadata
+        summary = ModelSummary(metadata.network, metadata.force_range_n, metadata.pose_range_deg)
+        super().__init__(FeltArm(arm), path, summary)
+        self.arm = arm
+        self.model = model
 
     @classmethod
     def open(cls, path: Path, arm: Arm | None = None) -> LoadedModel:
@@ -52,27 +130,29 @@ class LoadedModel:
         return self.model.metadata
 
     @property
-    def sha256(self) -> str:
-        """Of the file, which identifies the model in a recording."""
-        return hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
+    def law(self) -> LawModel | None:
+        """The law in it; None of a network."""
+        return self.model if isinstance(self.model, LawModel) else None
+
+    @property
+    def reference_contacts(self) -> Callable[[], ReferenceContacts]:
+        """See `Loaded`."""
+        return lambda: ReferenceContacts.of_arm(self.arm)
 
     def contacts(self, settings: EstimationSettings) -> LawContacts | NetworkContacts:
-        """Finds contacts by this model."""
-        threshold = settings.contact_threshold
-        hidden_above_n = settings.hidden_above_n
+        """See `Loaded`."""
         if isinstance(self.model, LawModel):
-            calibrated = CalibratedArm(self.arm, self.model, settings)
-            return LawContacts(self.arm, self.model, calibrated, threshold, hidden_above_n)
+            return law_contacts(self.machine, self.model, settings)
         tared = TaredArm(self.arm, settings)
-        return NetworkContacts(self.arm, self.model, tared, threshold, hidden_above_n)
+        threshold = settings.contact_threshold
+        return NetworkContacts(self.arm, self.model, tared, threshold, settings.hidden_above_n)
 
-    def calibration(self, path: str) -> Calibration | None:
-        """The calibration in a file; None where none is named.
 
-        Raises:
-            CalibrationError: no calibration, or one of another arm.
-        """
-        return read_calibration(path, self.arm) if path else None
+def law_contacts(machine: FeltMachine, law: Law, settings: EstimationSettings) -> LawContacts:
+    """Contacts by the law of a machine."""
+    calibrated = CalibratedArm(machine, law, settings)
+    threshold = settings.contact_threshold
+    return LawContacts(machine, law, calibrated, threshold, settings.hidden_above_n)
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

@@ -26,10 +26,11 @@ from cablesense_contact.inference.metadata import find_model
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT, of_contract
 from cablesense_msgs_py.serialized import WrenchWriter, require_bounded, stamp_ns, wrench_writers
-from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
-from cablesense_online.models import LoadedModel, load_model
+from cablesense_online.loading import load
+from cablesense_online.models import Loaded, LoadedModel, frames_of
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
@@ -237,7 +238,7 @@ class RebuiltEstimator:
         self._run = run
         self._arm = arm
         self._model = model
-        self._loaded: LoadedModel | None = None
+        self._loaded: Loaded | None = None
         self._estimation: Estimation | None = None
         self._writers: list[WrenchWriter] = []
         self._unknown_force = "zero"
@@ -272,14 +273,14 @@ class RebuiltEstimator:
             self._loaded = self._load(provenance)
             loaded = self._loaded
             contacts = loaded.contacts(provenance.settings)
-            self._estimation = Estimation(loaded.arm, contacts, provenance.settings, 0.0)
-            frames = Frames(loaded.arm.segment_count, provenance.frame_prefix)
+            self._estimation = Estimation(loaded.machine, contacts, provenance.settings, 0.0)
+            frames = frames_of(loaded.machine, provenance.frame_prefix)
             self._writers = wrench_writers(frames)
             self._unknown_force = provenance.settings.unknown_force
         assert self._loaded is not None
         settings = provenance.settings
         self._estimation.adjust(**{name: getattr(settings, name) for name in LIVE_SETTINGS})
-        calibration = calibration_of(message.content, self._loaded.arm, message.topic)
+        calibration = calibration_of(message.content, self._loaded.machine, message.topic)
         command_rad = np.array(message.beginning.command_rad)
         self._estimation.restore(calibration, command_rad, known=message.beginning.known)
 
@@ -293,11 +294,11 @@ class RebuiltEstimator:
         wrench = answer.wrench(self._unknown_force)
         writer = self._writers[answer.contact.segment]
         written = b"" if wrench is None else bytes(writer.write(stamp, wrench))
-        return ReplayedAnswer(stamp, answer, written, self._loaded.arm.segment_count)
+        return ReplayedAnswer(stamp, answer, written, len(self._loaded.machine.link_names))
 
-    def _load(self, provenance: Provenance) -> LoadedModel:
+    def _load(self, provenance: Provenance) -> Loaded:
         if self._arm:
-            return load_model(self._arm, self._model)
+            return load(self._arm, self._model)
         if self._model:
             return LoadedModel.open(find_model(self._model))
         path = Path(provenance.model)

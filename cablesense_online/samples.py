@@ -12,6 +12,7 @@ from math import isfinite
 from typing import Final, NoReturn
 
 from cablesense_base import CableSenseError
+from cablesense_contact.felt import ChannelLimits
 
 
 class ProblemKind(Enum):
@@ -38,6 +39,8 @@ class SampleError(CableSenseError):
 
 PLAUSIBLE_N: Final = (-20.0, 20_000.0)
 """A cable pulls: lower readings are a fault, not an offset. No such arm bears higher ones."""
+PLAUSIBLE_N_M: Final = (-20_000.0, 20_000.0)
+"""Torques of any such machine's joints."""
 
 
 class ReadingLimits:
@@ -47,36 +50,50 @@ class ReadingLimits:
     force estimated from it would be false.
     """
 
-    def __init__(self, range_n: tuple[float, float] | None) -> None:
-        """`range_n` is the sensors' range, if the arm file gives one."""
-        self._given = range_n is not None
-        self._range_n = range_n or PLAUSIBLE_N
+    def __init__(self, channels: ChannelLimits) -> None:
+        self._channels = channels
+        self._limits = [
+            (low, high) if isfinite(low) or isfinite(high) else _plausible(unit)
+            for low, high, unit in zip(
+                channels.lowest.tolist(), channels.highest.tolist(), channels.units, strict=True
+            )
+        ]
+        self._common = (max(low for low, _ in self._limits), min(high for _, high in self._limits))
 
-    def check(self, tensions_n: Sequence[float]) -> None:
-        """Check (M,) readings in N.
+    def check(self, readings: Sequence[float]) -> None:
+        """Check (M,) readings in the units of their channels.
 
         Raises:
             SampleError: a reading is not finite, saturated or implausible.
         """
-        low, high = self._range_n
-        within = low < min(tensions_n) and max(tensions_n) < high
-        if not (isfinite(sum(tensions_n)) and within):
-            self._refuse(tensions_n)
+        low, high = self._common
+        within = low < min(readings) and max(readings) < high
+        if not (isfinite(sum(readings)) and within):
+            self._check_each(readings)
 
-    def _refuse(self, tensions_n: Sequence[float]) -> NoReturn:
-        low, high = self._range_n
-        numbered = enumerate(tensions_n, start=1)
-        cable, tension = next((n, t) for n, t in numbered if not low < t < high)
-        if not isfinite(tension):
+    def _check_each(self, readings: Sequence[float]) -> None:
+        for number, (reading, (low, high)) in enumerate(zip(readings, self._limits, strict=True)):
+            if not low < reading < high:
+                self._refuse(number, reading, low, high)
+
+    def _refuse(self, number: int, reading: float, low: float, high: float) -> NoReturn:
+        unit = self._channels.units[number]
+        given = isfinite(self._channels.lowest[number]) or isfinite(self._channels.highest[number])
+        if not isfinite(reading):
             kind = ProblemKind.NOT_FINITE
             text = "; it must be a finite number"
-        elif not self._given:
-            text = f"; no cable of such an arm is outside {low:g} … {high:g} N"
+        elif not given:
+            text = f"; no cable of such an arm is outside {low:g} … {high:g} {unit}"
             kind = ProblemKind.IMPLAUSIBLE
         else:
-            text = f", at the end of the sensors' range {low:g} … {high:g} N; unload the arm"
+            text = f", at the end of the sensors' range {low:g} … {high:g} {unit}; unload the arm"
             kind = ProblemKind.SATURATED
-        raise SampleError(kind, f"effort of cable_{cable} is {tension:g} N{text}")
+        name = self._channels.names[number]
+        raise SampleError(kind, f"effort of {name} is {reading:g} {unit}{text}")
+
+
+def _plausible(unit: str) -> tuple[float, float]:
+    return PLAUSIBLE_N if unit == "N" else PLAUSIBLE_N_M
 
 
 def slack_cables(tensions_n: Sequence[float], slack_below_n: float) -> tuple[int, ...]:

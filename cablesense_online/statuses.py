@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 
+from cablesense_base import CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
 from cablesense_msgs_py.messages import ForceState, Level, Status
@@ -16,12 +18,10 @@ from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathState
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.contact_estimator import ContactEstimator, EstimationState, Sample
-from cablesense_online.models import LoadedModel
+from cablesense_online.models import Loaded
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import UnloadedState, refusal, utc_text
-from cablesense_sim.arm import Arm
-from cablesense_sim.equilibrium import EquilibriumError
 
 _BLIND_S = 3.0
 """Time without an estimate after which a warning is due,"""
@@ -146,26 +146,28 @@ class SampleCounts:
         return Level.OK, "receiving"
 
 
-def model_status(loaded: LoadedModel, largest_force_n: float, *, active: bool) -> Status:
+def model_status(loaded: Loaded, largest_force_n: float, *, active: bool) -> Status:
     """The model in use, with the largest force since the last report."""
-    metadata = loaded.metadata
+    summary = loaded.summary
     values = {
         "model": loaded.path,
-        "network": metadata.network,
-        "arm": loaded.arm.identity,
-        "up to (N)": f"{metadata.force_range_n:g}",
+        "network": summary.network,
+        "arm": loaded.machine.identity,
+        "up to (N)": f"{summary.force_range_n:g}",
         "largest force (N)": f"{largest_force_n:.1f}",
     }
     if not active:
         return Status("model", Level.WARN, "configured, not active", values)
-    if largest_force_n > metadata.force_range_n:
+    if largest_force_n > summary.force_range_n:
         return Status("model", Level.WARN, "forces beyond those that it is for", values)
     return Status("model", Level.OK, "active", values)
 
 
-def cables_status(slack_cables: Sequence[int], slack_below_n: float) -> Status:
+def cables_status(
+    slack_cables: Sequence[int], slack_below_n: float, channel_names: Sequence[str]
+) -> Status:
     """Which cables are slack. Estimates continue: statics holds with slack cables too."""
-    names = ", ".join(f"cable_{number}" for number in slack_cables)
+    names = ", ".join(channel_names[number - 1] for number in slack_cables)
     values = {"slack": names or "none", "slack below (N)": f"{slack_below_n:g}"}
     if names:
         return Status("cables", Level.WARN, f"slack: {names}", values)
@@ -255,10 +257,13 @@ def awaited_tare(state: EstimationState, settings: EstimationSettings) -> str:
 class ForceKnown:
     """How well a push of `FORCE_N` would be known after a move to another pose."""
 
-    def __init__(self, arm: Arm, law: Law) -> None:
-        self._arm = arm
+    def __init__(
+        self, machine: FeltMachine, law: Law, contacts: Callable[[], ReferenceContacts]
+    ) -> None:
+        """`contacts` finds the machine at rest under the pushes, when first asked."""
+        self._contacts = contacts
         self._law = law
-        self._calibrator = Calibrator(arm, law)
+        self._calibrator = Calibrator(machine, law)
         self._last: tuple[Calibration, float | None] | None = None
 
     def half_interval_n(self, calibration: Calibration) -> float | None:
@@ -270,14 +275,14 @@ class ForceKnown:
     def _half_interval_n(self, calibration: Calibration) -> float | None:
         try:
             contacts = self._reference_contacts
-        except EquilibriumError:  # the arm bears no such push
+        except CableSenseError:  # the machine bears no such push
             return None
         moved = self._calibrator.moved(calibration)
         return contacts.force_known_n(self._law, moved.mean, moved.covariance)
 
     @cached_property
     def _reference_contacts(self) -> ReferenceContacts:
-        return ReferenceContacts(self._arm)
+        return self._contacts()
 
 
 def _same(one: Calibration, other: Calibration) -> bool:

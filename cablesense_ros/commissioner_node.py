@@ -22,6 +22,7 @@ from cablesense_base.files import output_file
 from cablesense_contact.calibration import CalibrationError
 from cablesense_contact.calibration_file import calibration_bytes, write_calibration
 from cablesense_contact.errors import ModelFileError
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
@@ -94,7 +95,7 @@ class CommissionerNode(Node):
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._reader = EffortReader()
-        self._limits = ReadingLimits(arm.sensors.range_n)
+        self._limits = ReadingLimits(FeltArm(arm).channels)
         self._stamps = Stamps()
         self._base_rad: Array | None = None
         if not settings["await_command"]:

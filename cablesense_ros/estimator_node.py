@@ -13,15 +13,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_of
-from cablesense_contact.inference.law_model import LawModel
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
-from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
-from cablesense_online.models import load_model
+from cablesense_online.loading import load
+from cablesense_online.models import frames_of
 from cablesense_online.provenance import Provenance
 from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
 from cablesense_online.statuses import (
@@ -44,7 +43,6 @@ from cablesense_ros.endpoints import (
 )
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, parameter_values, run_node
-from cablesense_sim.build import mechanism_of
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -81,7 +79,7 @@ class EstimatorNode(ConfiguredNode):
         )
         at_end(self.destroy_subscription, samples)
         refuse = self._refuse_command
-        arm = self._loaded.arm
+        machine = self._loaded.machine
         offset = self._estimation.offset
         offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, offset)
         at_end(self.destroy_subscription, offsets)
@@ -92,7 +90,7 @@ class EstimatorNode(ConfiguredNode):
         commands = CommandInput(
             self,
             refuse,
-            arm.joint_names,
+            machine.command_names,
             lambda: self._estimation.state.motion.command_rad,
             self._on_command,
         )
@@ -101,39 +99,37 @@ class EstimatorNode(ConfiguredNode):
         at_end(self._publish_zero)  # none is left standing
 
     def _configure(self, given: dict[str, Any]) -> None:
-        self._loaded = load_model(given["arm"], given["model"])
+        self._loaded = load(given["arm"], given["model"])
         loaded = self._loaded
-        arm = loaded.arm
+        machine = loaded.machine
         settings = EstimationSettings.model_validate(given)
         calibration = loaded.calibration(given["calibration_file"])
         contacts = loaded.contacts(settings)
         now_s = time.monotonic()
-        self._estimation = Estimation(arm, contacts, settings, now_s, calibration)
+        self._estimation = Estimation(machine, contacts, settings, now_s, calibration)
         self._force_known: ForceKnown | None = None
-        if isinstance(loaded.model, LawModel):
-            self._force_known = ForceKnown(arm, loaded.model)
-        frames = Frames(arm.segment_count, given["frame_prefix"])
+        if loaded.law is not None:
+            self._force_known = ForceKnown(machine, loaded.law, loaded.reference_contacts)
+        frames = frames_of(machine, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
             self._topics,
             frames,
-            arm.identity,
+            machine,
             given["markers"],
             given["unknown_force"],
-            mechanism_of(arm),
             Provenance(
                 model=loaded.path,
                 sha256=loaded.sha256,
-                arm=arm.identity,
+                arm=machine.identity,
                 frame_prefix=given["frame_prefix"],
                 settings=settings,
             ),
-            arm.joint_names,
             on_each_segment=contacts.on_each_segment,
         )
-        self._identity = arm.identity
+        self._identity = machine.identity
         path = given["calibration_file"]
         known = f"calibrated by {path}" if calibration else "not calibrated"
-        self.get_logger().info(f"arm {arm.identity}, model {loaded.path}, {known}: configured")
+        self.get_logger().info(f"arm {machine.identity}, model {loaded.path}, {known}: configured")
 
     def _on_sample(self, raw: bytes) -> None:
         now_ns = self._now_ns()
@@ -157,7 +153,7 @@ class EstimatorNode(ConfiguredNode):
     def _on_calibration(self, message: UInt8MultiArray) -> None:
         """Take over the calibration of a commissioning."""
         source = topics.CALIBRATION
-        calibration = calibration_of(bytes(message.data), self._loaded.arm, source)
+        calibration = calibration_of(bytes(message.data), self._loaded.machine, source)
         self._estimation.calibrate(calibration)
         self._outputs.publish_calibration(self._estimation, self._now_ns())
         self.get_logger().info(f"calibration taken over: {calibration.made_from}")
@@ -183,13 +179,13 @@ class EstimatorNode(ConfiguredNode):
         if undone is None:
             message = "the calibration taken over last is undone"
         else:
-            names = self._loaded.arm.cable_names
+            names = self._loaded.machine.channels.names
             message = tare_undone_line(undone, earlier, names, undoable)
         self.get_logger().info(message)
         return message
 
     def _log_tare(self, tare: Tare, how: str) -> str:
-        message = f"tare taken {how} {tare.described(self._loaded.arm.cable_names)}"
+        message = f"tare taken {how} {tare.described(self._loaded.machine.channels.names)}"
         self.get_logger().info(message)
         return message
 
@@ -244,12 +240,14 @@ class EstimatorNode(ConfiguredNode):
         statuses = [
             model,
             counts.status(time.monotonic(), missing, publishers, settings.stale_after_s),
-            cables_status(counts.slack_cables, settings.slack_below_n),
+            cables_status(
+                counts.slack_cables, settings.slack_below_n, self._loaded.machine.channels.names
+            ),
             motion_status(
                 estimation.estimator,
                 state,
                 counts.blind_s(state.motion.last_ns),
-                self._loaded.metadata.pose_range_deg,
+                self._loaded.summary.pose_range_deg,
                 self._refuse_command.count,
             ),
             tare_status(state, settings, self._force_known_n()),

@@ -31,6 +31,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from cablesense_base import Array
 from cablesense_contact.calibration_file import calibration_bytes
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.felt import FeltMachine
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState, Status
 from cablesense_msgs_py.qos import LATCHED, WRENCH
@@ -39,10 +40,10 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer, ContactStatics
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
+from cablesense_online.placed_links import PlacedLinks
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_ros.endpoints import Outputs, message_class
 from cablesense_ros.node_process import diagnostic_array
-from cablesense_sim.mechanism import Mechanism
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""
@@ -68,20 +69,19 @@ class EstimatorOutputs:
         self,
         outputs: Outputs,
         frames: Frames,
-        identity: str,
+        machine: FeltMachine,
         markers: bool,
         unknown_force: str,
-        mechanism: Mechanism,
         provenance: Provenance,
-        joint_names: Sequence[str],
         *,
         on_each_segment: bool,
     ) -> None:
-        """`identity` is the arm's, `unknown_force` as in `EstimationSettings`.
+        """`unknown_force` is as in `EstimationSettings`.
 
         `on_each_segment` is whether the force on each segment is stated.
         """
-        self._mechanism = mechanism
+        self._machine = machine
+        self._placed = PlacedLinks(machine.link_frames)
         self._statics: tuple[Array, ContactStatics] | None = None
         self._frames = frames
         self._unknown_force = unknown_force
@@ -91,7 +91,7 @@ class EstimatorOutputs:
         self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH)
         self._status_out = outputs.make(DiagnosticArray, topics.STATUS)
         self._node = outputs.node
-        self._identity = identity
+        self._identity = machine.identity
         self._statuses = {state: self._status(state) for state in ForceState}
         estimate = message_class("cablesense_msgs/msg/ForceEstimate")
         self._estimate: Any = estimate and estimate()
@@ -100,7 +100,7 @@ class EstimatorOutputs:
         self._upper_out = outputs.make(WrenchStamped, topics.WRENCH_UPPER)
         self._base_out = outputs.make(WrenchStamped, topics.WRENCH_BASE)
         self._torques_out = outputs.make(JointState, topics.JOINT_TORQUES)
-        self._torques = JointState(name=list(joint_names))
+        self._torques = JointState(name=list(machine.torque_names))
         self._torques.header.frame_id = frames.base
         count = frames.segment_count if on_each_segment else 0
         self._segments_out = [
@@ -120,7 +120,7 @@ class EstimatorOutputs:
         where_out = self._point_out, self._region_out, self._pose_out
         self._contact_outs = *where_out, self._covariance_out, self._direction_out
         self._probabilities_out = outputs.make(Float64MultiArray, topics.CONTACT_PROBABILITIES)
-        labels = ["none", *(f"segment_{n + 1}" for n in range(frames.segment_count))]
+        labels = ["none", *machine.link_names]
         self._probabilities = Float64MultiArray()
         self._probabilities.layout.dim = [
             MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels))
@@ -134,7 +134,8 @@ class EstimatorOutputs:
         contact = answer.contact
         wrench = answer.wrench(self._unknown_force)
         if wrench is not None:
-            self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, wrench))
+            placed = self._placed.wrench(contact.segment, wrench)
+            self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, placed))
         if self._status_out.subscribed:
             status = self._statuses[answer.force]
             if answer.doubt:
@@ -142,7 +143,9 @@ class EstimatorOutputs:
             self._status_out.publish(restamped(status, stamp_ns))
         if self._estimate_out and self._estimate_out.subscribed:
             in_base = self._in_base(answer, "nan")
-            put_estimate(self._estimate, answer, in_base, self._frames, _time(stamp_ns))
+            put_estimate(
+                self._estimate, answer, in_base, self._frames, self._placed, _time(stamp_ns)
+            )
             self._estimate_out.publish(self._estimate)
         if wrench is not None:
             self._publish_whole(answer, wrench, stamp_ns)
@@ -150,7 +153,8 @@ class EstimatorOutputs:
             outs = (self._lower_out, self._upper_out)
             for out, bound in zip(outs, answer.bounds, strict=True):
                 if out.subscribed:
-                    out.publish(self._writers[bound.segment].write(stamp_ns, bound.wrench))
+                    placed = self._placed.wrench(bound.segment, bound.wrench)
+                    out.publish(self._writers[bound.segment].write(stamp_ns, placed))
         if contact.segment and any(out.subscribed for out in self._contact_outs):
             self._publish_contact(answer, stamp_ns)
         if now_s >= self._next_display_s:
@@ -198,7 +202,8 @@ class EstimatorOutputs:
         for number, out in enumerate(self._segments_out, start=1):
             on_it = answer.on_segment(number, self._unknown_force) if out.subscribed else None
             if on_it is not None:
-                out.publish(self._writers[number].write(stamp_ns, on_it))
+                placed = self._placed.wrench(number, on_it)
+                out.publish(self._writers[number].write(stamp_ns, placed))
 
     def _in_base(self, answer: Answer, unknown_force: str) -> Sequence[float]:
         """The wrench (6,) of all contacts about the base; one of known moment only leaves none."""
@@ -213,7 +218,7 @@ class EstimatorOutputs:
         pose_rad = answer.pose_rad
         assert pose_rad is not None  # an answer with contacts has one
         if self._statics is None or not np.array_equal(self._statics[0], pose_rad):
-            self._statics = pose_rad, ContactStatics(self._mechanism, pose_rad)
+            self._statics = pose_rad, ContactStatics(self._machine.links_at(pose_rad))
         return self._statics[1]
 
     def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
@@ -223,9 +228,11 @@ class EstimatorOutputs:
         stamp = _time(stamp_ns)
         header = Header(frame_id=self._frames.segment(contact.segment), stamp=stamp)
         if self._point_out.subscribed:
-            self._point_out.publish(PointStamped(header=header, point=Point(x=contact.contact_m)))
+            x, y, z = self._placed.point(contact.segment, contact.contact_m)
+            self._point_out.publish(PointStamped(header=header, point=Point(x=x, y=y, z=z)))
         if region_m is not None and self._region_out.subscribed:
-            ends = Polygon(points=[Point32(x=at_m) for at_m in region_m])
+            places = [self._placed.point(contact.segment, place_m) for place_m in region_m]
+            ends = Polygon(points=[Point32(x=x, y=y, z=z) for x, y, z in places])
             self._region_out.publish(PolygonStamped(header=header, polygon=ends))
         if region_m and estimate and self._pose_out.subscribed:
             std_m = (region_m[1] - region_m[0]) / (2.0 * NORMAL_95)
@@ -245,8 +252,9 @@ class EstimatorOutputs:
             self._covariance.data = array("d", estimate.place.covariance.ravel().tolist())
             self._covariance_out.publish(self._covariance)
         if self._direction_out.subscribed:
-            y, z = contact.direction
-            self._direction_out.publish(Vector3Stamped(header=header, vector=Vector3(y=y, z=z)))
+            x, y, z = self._placed.direction(contact.segment, contact.direction)
+            vector = Vector3(x=x, y=y, z=z)
+            self._direction_out.publish(Vector3Stamped(header=header, vector=vector))
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
         if answer.probabilities and self._probabilities_out.subscribed:
@@ -254,11 +262,18 @@ class EstimatorOutputs:
             self._probabilities_out.publish(self._probabilities)
         if self._markers_out and self._markers_out.subscribed:
             shown = answer.contacts, answer.region_m, _time(stamp_ns)
-            self._markers_out.publish(contact_markers(self._frames, self._most_shown, *shown))
+            self._markers_out.publish(
+                contact_markers(self._frames, self._placed, self._most_shown, *shown)
+            )
 
 
 def put_estimate(
-    message: Any, answer: Answer, in_base: Sequence[float], frames: Frames, stamp: Time
+    message: Any,
+    answer: Answer,
+    in_base: Sequence[float],
+    frames: Frames,
+    placed: PlacedLinks,
+    stamp: Time,
 ) -> None:
     """Put an answer and its wrench (6,) about the base into a `cablesense_msgs/ForceEstimate`."""
     contact = answer.contact
@@ -270,7 +285,7 @@ def put_estimate(
     message.moment_only = bool(segment and not contact.magnitude_n)
     message.probability = float(answer.probabilities[segment]) if answer.probabilities else nan
     for numbers, put in (
-        (answer.wrench("nan") or UNKNOWN_WRENCH, message.wrench),
+        (placed.wrench(segment, answer.wrench("nan") or UNKNOWN_WRENCH), message.wrench),
         (in_base, message.wrench_base),
     ):
         put.force.x, put.force.y, put.force.z, put.torque.x, put.torque.y, put.torque.z = numbers
@@ -278,7 +293,9 @@ def put_estimate(
     message.force_low = lower.magnitude_n if lower else nan
     message.force_high = upper.magnitude_n if upper else nan
     point = message.contact_point
-    point.x, point.y, point.z = (contact.contact_m, 0.0, 0.0) if segment else (nan, nan, nan)
+    point.x, point.y, point.z = (
+        placed.point(segment, contact.contact_m) if segment else (nan, nan, nan)
+    )
     message.place_low, message.place_high = answer.region_m or (nan, nan)
     place = answer.estimate.place if segment and answer.estimate else None
     message.covariance = array("d", place.covariance.ravel().tolist() if place else [nan] * 16)
@@ -286,6 +303,7 @@ def put_estimate(
 
 def contact_markers(
     frames: Frames,
+    placed: PlacedLinks,
     most: int,
     contacts: Sequence[Contact],
     region_m: tuple[float, float] | None,
@@ -305,7 +323,13 @@ def contact_markers(
         message.header.frame_id = frames.segment(contact.segment) if shown else frames.base
         message.header.stamp = stamp
         message.action = Marker.ADD if shown else Marker.DELETE
-        message.pose.orientation.w = 1.0
+        if shown:
+            at = placed.point(contact.segment, 0.0)
+            turn = placed.quaternion(contact.segment)
+            message.pose.position = Point(**dict(zip("xyz", at, strict=True)))
+            message.pose.orientation = Quaternion(**dict(zip("xyzw", turn, strict=True)))
+        else:
+            message.pose.orientation.w = 1.0
         message.color.r, message.color.g, message.color.b, message.color.a = _COLOUR
         message.scale.x, message.scale.y, message.scale.z = size_m
         return message
@@ -318,14 +342,17 @@ def contact_markers(
         (y, z) = contact.direction
         length_m = ARROW_M_PER_N * contact.magnitude_n
         tip = Point(x=contact.contact_m)
-        sphere.pose.position = tip
+        at = placed.point(contact.segment, contact.contact_m) if contact.segment else (0.0,) * 3
+        sphere.pose.position = Point(**dict(zip("xyz", at, strict=True)))
         arrow.points = [Point(x=tip.x, y=-length_m * y, z=-length_m * z), tip]
         markers += [arrow, sphere]
     of_region = contacts[0] if contacts and region_m is not None else NO_CONTACT
     low_m, high_m = region_m or (0.0, 0.0)
     size_m = max(high_m - low_m, _SHORTEST_BAND_M), _BAND_WIDTH_M, _BAND_WIDTH_M
     band = marker("region", 0, Marker.CUBE, of_region, size_m)
-    band.pose.position.x = 0.5 * (low_m + high_m)
+    middle_m = 0.5 * (low_m + high_m)
+    at = placed.point(of_region.segment, middle_m) if of_region.segment else (0.0,) * 3
+    band.pose.position = Point(**dict(zip("xyz", at, strict=True)))
     band.color.a = _BAND_OPACITY
     return MarkerArray(markers=[*markers, band])
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from cablesense_contact import LawModel, find_model
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_recording import Recording, read_recording
 from cablesense_recording.csv_file import write_csv
@@ -63,14 +64,14 @@ if not CSV.exists():
 # %%
 rows = read_recording(CSV, arm)
 law = LawModel(find_model(MODEL), arm)
-calibrator = Calibrator(arm, law)
+calibrator = Calibrator(FeltArm(arm), law)
 baseline_n = rows.tensions_n[:TARE_ROWS].mean(axis=0)
 tare = Unloaded(baseline_n, rows.command_rad[0], TARE_ROWS)
 known = calibrator.updated(calibrator.by_tolerances(), tare)
 
 still = np.zeros((arm.joint_count, arm.joint_count))
 posterior = law(rows.tensions_n, rows.command_rad, known.mean, known.covariance, still)
-judge = Judge(arm)
+judge = Judge(FeltArm(arm))
 judgements = [judge(posterior.row(k), rows.tensions_n[k]) for k in range(len(rows))]
 touched = np.array([each.state is not ContactState.FREE for each in judgements])
 force_n = np.where(touched, np.hypot(*posterior.force_n[:, 1:].T), 0.0)

@@ -14,10 +14,12 @@ import numpy as np
 
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_sim import load_arm, normal_force_n, solve_equilibrium
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.law_export import export_law
 
 
@@ -34,8 +36,8 @@ def main(folder: Path = Path("out/own_arm")) -> None:
     law = LawModel(model, arm)
 
     # an arm as a workshop builds it
-    calibrator = Calibrator(arm, law)
-    parameters = calibrator.parameters
+    calibrator = Calibrator(FeltArm(arm), law)
+    parameters = arm_parameters(arm)
     errors = parameters.drawn(np.random.default_rng(7))
     built = parameters.built(errors)
     nominal = mechanism_of(arm)

@@ -19,6 +19,7 @@ from PIL import Image
 
 from cablesense_base import Array
 from cablesense_contact import Calibrator, Judge, LawModel, Unloaded, find_model
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState
 from cablesense_sim import mechanism_of, normal_force_n, open_arm, solve_equilibrium
 from cablesense_sim.kinematics import chain
@@ -56,10 +57,10 @@ def main(out: Path, frames: int = 60) -> None:
     mechanism = mechanism_of(arm)
     free_n = solve_equilibrium(mechanism, STRAIGHT_RAD).tensions_n
     law = LawModel(find_model(f"{ARM}_anywhere"), arm)
-    calibrator = Calibrator(arm, law)
+    calibrator = Calibrator(FeltArm(arm), law)
     known = calibrator.updated(calibrator.by_tolerances(), Unloaded(free_n, STRAIGHT_RAD, 50))
     still = np.zeros((arm.joint_count, arm.joint_count))
-    judge = Judge(arm)
+    judge = Judge(FeltArm(arm))
     rng = np.random.default_rng(0)
     figure, (side, bars) = plt.subplots(1, 2, figsize=(8.4, 3.2), width_ratios=(2.4, 1.0))
     figure.set_layout_engine("constrained")

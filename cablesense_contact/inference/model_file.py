@@ -55,6 +55,16 @@ def read_model(path: str | Path) -> tuple[ModelProto, ModelMetadata]:
     Raises:
         ModelFileError: unreadable, not ONNX, or not a CableSense model.
     """
+    model, properties = read_graph(path)
+    return model, ModelMetadata.from_properties(properties, str(path))
+
+
+def read_graph(path: str | Path) -> tuple[ModelProto, dict[str, str]]:
+    """The graph in an ONNX file, and its metadata properties; nothing is run.
+
+    Raises:
+        ModelFileError: unreadable, not ONNX, or more than plain operators.
+    """
     content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
     try:
         model = onnx.load_model_from_string(content)
@@ -67,8 +77,7 @@ def read_model(path: str | Path) -> tuple[ModelProto, ModelMetadata]:
             f"{path}: not a valid ONNX file ({one_line(error)}); needed is a model file, "
             "as `cablesense export` and `cablesense train` write it"
         ) from error
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    return model, ModelMetadata.from_properties(properties, str(path))
+    return model, {entry.key: entry.value for entry in model.metadata_props}
 
 
 def one_line(error: Exception) -> str:

@@ -28,7 +28,7 @@ EVIDENCE = (
     "informed",
     "torque_precision",
     "torque_pull",
-    "free_chi2",
+    "untouched_chi2",
     "levers",
     "by_torsion",
 )
@@ -68,7 +68,8 @@ class MachineLaw:
         self.machine = machine
         self.observer = Observer(machine)
         self._state = state
-        self._per_newton = GRAPH_FORCE_N / machine.source.file.touch.largest_n
+        self._largest_n = machine.source.file.touch.largest_n
+        self._per_newton = GRAPH_FORCE_N / self._largest_n
 
     def __call__(
         self,
@@ -130,28 +131,33 @@ class MachineLaw:
 
     def _stated(self, seen: Observation) -> dict[str, Array]:
         scale = self._per_newton
-        informed_by_torque = seen.information @ seen.by_torque
-        informed_by_channel = seen.information @ seen.by_channel
-        pull = seen.innovation @ seen.information
-        evidence = (
-            seen.reading * scale,
-            pull @ seen.by_channel / scale,
-            seen.by_channel.T @ informed_by_channel / scale**2,
-            seen.by_channel.T @ informed_by_torque / scale**2,
-            seen.by_torque.T @ informed_by_torque / scale**2,
-            seen.innovation @ informed_by_torque / scale,
-            np.array(pull @ seen.innovation),
-            seen.levers,
-            seen.torsion,
-        )
-        rows = {"reading_n", "channel_pull", "torque_pull"}
-        inputs = {
-            name: value[None, None] if name in rows else value[None]
-            for name, value in zip(EVIDENCE, evidence, strict=True)
-        }
-        stated = dict(self._state(inputs))
+        stated = dict(self._state(evidence_of(seen, self._largest_n)))
         for name in _OF_FORCE:
             stated[name] = stated[name] / scale
         units = np.array([1.0, scale, scale, scale])
         stated["contact_covariance"] = stated["contact_covariance"] / np.outer(units, units)
         return stated
+
+
+def evidence_of(seen: Observation, largest_n: float) -> dict[str, Array]:
+    """`EVIDENCE` of an observation, in a unit of force by which `largest_n` is `GRAPH_FORCE_N`."""
+    scale = GRAPH_FORCE_N / largest_n
+    informed_by_torque = seen.information @ seen.by_torque
+    informed_by_channel = seen.information @ seen.by_channel
+    pull = seen.innovation @ seen.information
+    evidence = (
+        seen.reading * scale,
+        pull @ seen.by_channel / scale,
+        seen.by_channel.T @ informed_by_channel / scale**2,
+        seen.by_channel.T @ informed_by_torque / scale**2,
+        seen.by_torque.T @ informed_by_torque / scale**2,
+        seen.innovation @ informed_by_torque / scale,
+        np.array(pull @ seen.innovation),
+        seen.levers,
+        seen.torsion,
+    )
+    rows = {"reading_n", "channel_pull", "torque_pull"}
+    return {
+        name: value[None, None] if name in rows else value[None]
+        for name, value in zip(EVIDENCE, evidence, strict=True)
+    }

@@ -33,7 +33,7 @@ from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
-from cablesense_sim.machine.statics import LinkForce, LinkFrames
+from cablesense_sim.machine.statics import LinkForce, LinkFrames, force_on
 
 _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor shows a taut tendon."""
@@ -145,6 +145,43 @@ class Observer:
         balance = known.built.statics.at(known.pose)
         return known.pose, known.built.statics.tensions_n(balance.length_m, known.unstretched_m)
 
+    def command_of(self, pose: Array) -> Array:
+        """(C,) the command that holds the machine, as modelled, near a pose (n,)."""
+        return self._holding.command_of(pose)
+
+    def noise(self, command: Array, variance: Array) -> Array:
+        """(D, D) covariance of observations of readings with variances (M,) at a command."""
+        if not self.machine.is_measured:
+            return np.diag(variance)
+        known = self._known(command, self.parameters.prior_mean)
+        balance = known.built.statics.at(known.pose)
+        by_channel = self._by_channel(balance.moment)[self._equations]
+        return np.asarray((by_channel * variance) @ by_channel.T)
+
+    def idle_reading(self, command: Array) -> Array:
+        """(M,) readings, without noise, of the machine as modelled that nothing touches."""
+        nothing = LinkForce(0, np.zeros(3), np.zeros(3))
+        return self.reading_under(command, nothing)
+
+    def reading_under(self, command: Array, force: LinkForce) -> Array:
+        """(M,) readings, without noise, of the machine as modelled under a force on a link.
+
+        A machine whose joints are measured is taken to hold its pose by what is read.
+
+        Raises:
+            MachineError: it does not bear the force.
+        """
+        known = self._known(command, 0.0 * self.parameters.prior_mean)
+        statics = known.built.statics
+        if not self.machine.is_measured:
+            _, tensions = statics.rest(known.unstretched_m, (force,), known.pose)
+            return np.asarray(tensions[self.machine.channels.tendon])
+        balance = statics.at(known.pose)
+        wanted = balance.load + force_on(statics.links(), force)
+        by_channel = self._by_channel(balance.moment)
+        # of all readings that balance the load the smallest
+        return np.asarray(np.linalg.lstsq(by_channel, wanted, rcond=None)[0])
+
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.
 
@@ -231,7 +268,7 @@ class Observer:
         return Observation(
             reading=reading,
             innovation=reading - expected - by_torque @ residual,
-            information=np.linalg.inv(spread),
+            information=np.asarray(np.linalg.inv(spread)),
             by_torque=by_torque,
             by_parameter=by_parameter,
             by_channel=np.eye(len(read)),
@@ -288,10 +325,8 @@ class Observer:
         tensions_n = spring_n.copy()
         is_tension = channels.tendon >= 0
         tensions_n[channels.tendon[is_tension]] = value[is_tension]
-        by_channel = np.zeros((len(pose), len(reading)))
-        by_channel[:, is_tension] = balance.moment[channels.tendon[is_tension]].T
+        by_channel = self._by_channel(balance.moment)
         drives = np.flatnonzero(~is_tension)
-        by_channel[channels.coordinate[drives], drives] = -1.0
         driven = np.zeros(len(pose))
         driven[channels.coordinate[drives]] = value[drives]
         # τ = J' T - F_0 - u
@@ -327,6 +362,16 @@ class Observer:
             torsion=torsion,
             pose=pose,
         )
+
+    def _by_channel(self, moment: Array) -> Array:
+        """(n, M) how contact forces follow from what is read, with measured joints."""
+        channels = self.machine.channels
+        by_channel = np.zeros((moment.shape[1], len(channels.names)))
+        is_tension = channels.tendon >= 0
+        by_channel[:, is_tension] = moment[channels.tendon[is_tension]].T
+        drives = np.flatnonzero(~is_tension)
+        by_channel[channels.coordinate[drives], drives] = -1.0
+        return by_channel
 
     def _prior_of_torques(self) -> Array:
         """(n, n) a root L of the precision L L' of contact forces on the coordinates."""

@@ -39,7 +39,6 @@ def sensitivity(
 ) -> Sensitivity:
     """The derivatives of a built machine at a command (C,), a pose (n,) and tensions (K,)."""
     slices = parameters.slices
-    tendons = machine.tendons
     count = len(pose)
     taut = (tensions_n > 0.0).astype(float)
     stiffness = built.statics.stiffness_n_m * taut

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablesense_base.files import output_file
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, titled_table
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def calibrate(
     recorded = read_recording(recording, described)
     law = law_of(described, arm, model)
     unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
-    calibration = Calibrator(described, law).from_poses(unloaded)
+    calibration = Calibrator(FeltArm(described), law).from_poses(unloaded)
     poses = len({reading.command_rad.tobytes() for reading in unloaded})
     many = "1 pose" if poses == 1 else f"{poses} poses"
     made_from = f"{recorded.name}, with unloaded readings in {many}"
@@ -119,6 +120,7 @@ def calibration_description(calibration: Calibration, arm: Arm, law: Law | None)
     from dataclasses import asdict
 
     from cablesense_contact.calibration_summary import summarised
+    from cablesense_sim.uncertain_arm import arm_parameters
 
     unloaded = calibration.unloaded
     taken_ns = calibration.changed_ns
@@ -137,7 +139,7 @@ def calibration_description(calibration: Calibration, arm: Arm, law: Law | None)
         "probability": calibration.misfit_probability,
         "as_described": calibration.as_described,
         "force_known_n": None if law is None else _force_known_n(calibration, arm, law),
-        "parameters": [asdict(row) for row in summarised(calibration, arm)],
+        "parameters": [asdict(row) for row in summarised(calibration, arm_parameters(arm))],
     }
 
 
@@ -176,9 +178,9 @@ def _force_known_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
     from cablesense_contact.calibration import Calibrator
     from cablesense_contact.reference_contacts import ReferenceContacts
 
-    contacts = ReferenceContacts(arm)
+    contacts = ReferenceContacts.of_arm(arm)
     prior_mean = calibration.prior_mean
-    elsewhere = Calibrator(arm, law).moved(calibration)
+    elsewhere = Calibrator(FeltArm(arm), law).moved(calibration)
     return {
         "before": contacts.force_known_n(law, prior_mean, calibration.prior_covariance),
         "after": contacts.force_known_n(law, elsewhere.mean, elsewhere.covariance),

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, write_atomically
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -152,7 +153,7 @@ def _recorded(
     for name in models:
         estimator = open_estimator(find_model(name))
         arm = estimator.metadata.arm
-        known = None if calibration is None else read_calibration(calibration, arm)
+        known = None if calibration is None else read_calibration(calibration, FeltArm(arm))
         errors[name] = recorded_errors(
             read_recording(recording, arm), estimator, calibration=known
         )

@@ -17,6 +17,7 @@ import typer
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import OutputError, output_file, read_bounded_bytes, write_atomically
 from cablesense_base.installation import config_path
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -295,7 +296,7 @@ def _show_calibration(content: bytes, path: str, as_json: bool) -> None:
     from cablesense_ros.cli.calibrate import calibration_description, law_of, print_calibration
 
     arm = described_arm(content, path)
-    calibration = calibration_of(content, arm, path)
+    calibration = calibration_of(content, FeltArm(arm), path)
     try:
         law = law_of(arm, path)
     except ModuleNotFoundError:

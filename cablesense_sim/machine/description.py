@@ -76,8 +76,8 @@ class Sensors(FilePart):
     def _reads_something(self) -> Sensors:
         if self.tension is None and self.torque is None:
             raise ValueError(
-                "has no sensors; state `tension:` of tendons or `torque:` of joints, with `of` and "
-                "`noise_std`"
+                "has no sensors; state `tension:` of tendons or `torque:` of joints, with `of` "
+                "and `noise_std`"
             )
         return self
 

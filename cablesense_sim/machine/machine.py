@@ -260,8 +260,9 @@ def _tendons(model: mujoco.MjModel, source: OpenedMachine, pose: Array) -> Tendo
     if file.joints != "measured" and (stiffness >= _STIFFEST_N_M).any():
         rigid = [wanted[i] for i in np.flatnonzero(stiffness >= _STIFFEST_N_M)]
         raise MachineError(
-            f"{source.path}: tendon {some_of(rigid)} has no stiffness in the model, so its tension "
-            "does not follow from commands; state cables.stiffness_n_m, or joints: measured"
+            f"{source.path}: tendon {some_of(rigid)} has no stiffness in the model, so its "
+            "tension does not follow from commands; state cables.stiffness_n_m, or joints: "
+            "measured"
         )
     gear = np.array([model.actuator_gear[a, 0] if a >= 0 else 1.0 for a in drawn[ids]])
     return Tendons(tuple(wanted), ids, stiffness, pretension, drawn[ids], gear)
@@ -316,8 +317,8 @@ def _stated(
     unknown = [name for name in value if name not in names]
     if unknown:
         raise MachineError(
-            f"{source.path}: cables.{key} names {some_of(unknown)}, which is not among the tendons "
-            f"{some_of(names)}"
+            f"{source.path}: cables.{key} names {some_of(unknown)}, which is not among the "
+            f"tendons {some_of(names)}"
         )
     return np.array([value.get(name, own) for name, own in zip(names, default, strict=True)])
 
@@ -386,8 +387,8 @@ def _links(model: mujoco.MjModel, source: OpenedMachine) -> Links:
     fixed = [one.link for one in touched if not model.body_weldid[bodies[one.link]]]
     if fixed:
         raise MachineError(
-            f"{source.path}: link {some_of(fixed)} does not move, so no force on it is felt; leave "
-            "it out of touch.links"
+            f"{source.path}: link {some_of(fixed)} does not move, so no force on it is felt; "
+            "leave it out of touch.links"
         )
     frames = [_frame(one) for one in touched]
     friction = source.file.touch.friction

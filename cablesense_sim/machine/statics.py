@@ -20,13 +20,16 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.machine.description import MachineError
-from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.machine import Indices, Machine
 
 _STEP = 1e-6
-"""Of a coordinate, rad or m, by which derivatives are taken: a force differs in its tenth digit."""
+"""Of a coordinate, rad or m, by which derivatives are taken: a force differs in its tenth "
+"digit."""
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
 _MOST_STEPS = 100
+_SWING = 2.0
+"""A sudden acceleration swings an undamped machine by twice what a steady one bends it."""
 _LEAST_SHARE = 1e-6
 """Shortest part of a step that is tried before a search for rest ends."""
 _LONGEST = 0.5
@@ -178,7 +181,7 @@ class MachineStatics:
             origins, turns @ links.axes, self._reduced(by_force), self._reduced(by_moment)
         )
 
-    def by_masses(self, bodies: Array) -> tuple[Array, Array, Array]:
+    def by_masses(self, bodies: Indices) -> tuple[Array, Array, Array]:
         """How weights follow from masses and their centres, at the pose asked for last.
 
         Returns:
@@ -201,6 +204,22 @@ class MachineStatics:
             of_centre[row] = moments @ turning
             of_gravity += mass * at_point
         return self._reduced(of_mass), self._reduced(of_centre), self._reduced(of_gravity)
+
+    def unrest(self, speed: Array, acceleration: Array) -> Array:
+        """(n, n) covariance of torques of inertia and damping at the pose asked for last.
+
+        `speed` and `acceleration` (n,) are those of a motion that swings the machine: an undamped
+        one by twice what a steady acceleration bends it.
+        """
+        data = self._data
+        model = self.model
+        mujoco.mj_crb(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        slope = self._coordinates.slope(data.qpos)
+        swing = _SWING * (slope.T @ inertia @ slope) * acceleration
+        damping = (slope.T * model.dof_damping) @ slope @ speed
+        return np.asarray(swing @ swing.T + np.diag(damping**2))
 
     def rest(
         self, unstretched_m: Array, forces: Sequence[LinkForce], start: Array
@@ -245,8 +264,8 @@ class MachineStatics:
 
     def _no_rest(self) -> MachineError:
         return MachineError(
-            f"{self.machine.name}: finds no rest; a force may be larger than the tendons can bear, "
-            "or nothing holds one of its joints"
+            f"{self.machine.name}: finds no rest; a force may be larger than the tendons can "
+            "bear, or nothing holds one of its joints"
         )
 
     def _compliance(
@@ -269,7 +288,7 @@ class MachineStatics:
                 break
             except np.linalg.LinAlgError:
                 added = max(10.0 * added, 1e-6 * scale)
-        return np.linalg.inv(stiffness + added * np.eye(len(pose)))
+        return np.asarray(np.linalg.inv(stiffness + added * np.eye(len(pose))))
 
     def _unbalanced(self, pose: Array, unstretched_m: Array, forces: Sequence[LinkForce]) -> Array:
         residual = self.residual(pose, unstretched_m)
@@ -295,7 +314,7 @@ def force_on(frames: LinkFrames, force: LinkForce) -> Array:
     return np.asarray(force.force_n @ frames.by_force_m[n] + moment @ frames.by_moment[n])
 
 
-def _moment_cells(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
+def _moment_cells(model: mujoco.MjModel) -> tuple[Indices, Indices, Indices]:
     """Rows, places and columns of the sparse ∂l/∂q in a dense (ntendon, nv) matrix."""
     rows: list[int] = []
     places: list[int] = []
@@ -304,5 +323,7 @@ def _moment_cells(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
         count = int(model.ten_J_rownnz[t])
         rows += [t] * count
         places += range(first, first + count)
-    columns = model.ten_J_colind.reshape(-1)[places] if places else np.zeros(0, dtype=np.int64)
+    columns = np.zeros(0, dtype=np.int64)
+    if places:
+        columns = model.ten_J_colind.reshape(-1)[places].astype(np.int64)
     return np.array(rows, dtype=np.int64), np.array(places, dtype=np.int64), columns

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_sim import open_arm
 from cablesense_sim.uncertain_arm import arm_parameters
 
@@ -22,7 +23,7 @@ def main(arm: str, out: str, calibration: str = "") -> None:
     """Write `out`."""
     description = open_arm(arm)
     if calibration:
-        known = read_calibration(calibration, description)
+        known = read_calibration(calibration, FeltArm(description))
         mean = known.mean
         covariance = known.covariance
     else:

@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_bytes
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import BREATH_END, breath_frame
 from cablesense_msgs_py.qos import CONTRACT, of_contract, resolved
@@ -57,7 +58,7 @@ class MadeRun:
         loaded = self.loaded
         arm = loaded.arm
         settings = SETTINGS.model_copy(update={"unknown_force": unknown_force})
-        live = Estimation(arm, loaded.contacts(settings), settings, 0.0)
+        live = Estimation(FeltArm(arm), loaded.contacts(settings), settings, 0.0)
         provenance = Provenance(loaded.path, loaded.sha256, arm.identity, "", settings)
         writers = wrench_writers(Frames(arm.segment_count))
         mechanism = mechanism_of(arm)

@@ -5,6 +5,7 @@ import pytest
 from estimation_settings import estimation_settings
 
 from cablesense_contact.estimate import Estimate
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.contacts import NetworkContacts
 from cablesense_online.estimation import Estimation
 from cablesense_online.tared_arm import TaredArm
@@ -60,7 +61,7 @@ class Feed:
             tared = TaredArm(ARM, settings)
             hidden_n = settings.hidden_above_n
             contacts = NetworkContacts(ARM, self.estimator, tared, 0.5, hidden_n)
-        self.estimation = Estimation(ARM, contacts, settings, 0.0)
+        self.estimation = Estimation(FeltArm(ARM), contacts, settings, 0.0)
         self.now_ns = 10**18
 
     @property

@@ -23,6 +23,7 @@ from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.errors import ModelFileError
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import ANYWHERE, find_model
@@ -369,7 +370,7 @@ def _table2_answer(model: LawModel | Estimator, differences_n: Array) -> Contact
         return ContactAnswer.of(model.estimate_batch(differences_n, straight))
     mechanism = mechanism_of(arm)
     unloaded_n = solve_equilibrium(mechanism, straight[0]).tensions_n
-    calibrator = Calibrator(arm, model)
+    calibrator = Calibrator(FeltArm(arm), model)
     tare = Unloaded(unloaded_n, straight[0], count=1)
     tared = calibrator.updated(calibrator.by_tolerances(), tare)
     return point_answer(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
@@ -228,7 +229,7 @@ class KnownArm:
 
     def __init__(self, law: Law, arm: Arm, calibration: Calibration) -> None:
         self._law = law
-        self._judge = Judge(arm)
+        self._judge = Judge(FeltArm(arm))
         self._known = Belief(calibration.mean, calibration.covariance)
         self._slides = CableSlides(arm)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
@@ -335,7 +336,7 @@ def evaluate_built(
     Raises:
         EquilibriumError: no arm is left.
     """
-    calibrator = Calibrator(arm, law)
+    calibrator = Calibrator(FeltArm(arm), law)
     touches = drawn_touches(arm, protocol, seed)
     reach_rad = float(np.deg2rad(protocol.pose_range_deg))
     statements = []

@@ -91,7 +91,7 @@ class ArmEstimator(nn.Module):
         statement = self.statement(evidence_of(seen))
         at_joint, by_place = seen.levers.split(3, dim=2)
         return EstimatorOutput(
-            *statement,
+            **statement._asdict(),
             innovation_n=seen.innovation_n[:, 0],
             information_n2=seen.information_n2,
             by_parameter=seen.by_parameter,

@@ -22,7 +22,7 @@ class Evidence(NamedTuple):
         informed: (B, M, T) C' S⁻¹ D.
         torque_precision: (B, T, T) D' S⁻¹ D.
         torque_pull: (B, 1, T) x' S⁻¹ D.
-        free_chi2: (B,) x' S⁻¹ x.
+        untouched_chi2: (B,) x' S⁻¹ x.
         levers: (B, N, 6, T) torques of unit forces at the links' frames, and their derivatives by
             the distance along the links.
         by_torsion: (B, N, 1, T) torques of unit moments about the links' axes.
@@ -34,7 +34,7 @@ class Evidence(NamedTuple):
     informed: Tensor
     torque_precision: Tensor
     torque_pull: Tensor
-    free_chi2: Tensor
+    untouched_chi2: Tensor
     levers: Tensor
     by_torsion: Tensor
 
@@ -49,7 +49,7 @@ def evidence_of(seen: Measurement) -> Evidence:
         informed=seen.informed,
         torque_precision=seen.torque_precision,
         torque_pull=seen.torque_pull,
-        free_chi2=(pull * seen.innovation_n).sum((1, 2)),
+        untouched_chi2=(pull * seen.innovation_n).sum((1, 2)),
         levers=seen.levers,
         by_torsion=seen.by_torsion,
     )

@@ -103,7 +103,7 @@ class RivalHypotheses(nn.Module):
         pulled = weighted - (wrench.mean.transpose(2, 3) @ seen_in)[:, :, 0]
         faulty_segment, _ = _fault(pulled, unexplained)
         return Hypotheses(
-            free_chi2=seen.free_chi2,
+            free_chi2=seen.untouched_chi2,
             faulty_free=faulty_free[:, 0],
             exchanged_free=exchanged_free,
             segment=segment,

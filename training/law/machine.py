@@ -23,9 +23,7 @@ def machine_statement(machine: Machine) -> ContactStatement:
     """The statement of a machine's links."""
     assert GRAPH_FORCE_N == LARGEST_N
     links = machine.links
-    touched = TouchedPlaces(
-        links.touched_m, links.radius_m, machine.source.file.touch.friction
-    )
+    touched = TouchedPlaces(links.touched_m, links.radius_m, machine.source.file.touch.friction)
     length_m = np.abs(links.touched_m).max(axis=1)
     span_m = links.touched_m[:, 1] - links.touched_m[:, 0]
     # one link begins where the one before it ends

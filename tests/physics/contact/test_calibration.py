@@ -14,6 +14,7 @@ from cablesense_contact.calibration_file import (
     read_calibration,
     write_calibration,
 )
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.slides import Belief
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Workmanship
@@ -37,7 +38,7 @@ NOMINAL = read_nominal(Path("config/arms/cdsm_lab.yaml"))
 
 @pytest.fixture(scope="module")
 def calibrator():
-    return Calibrator(ARM, TorchLaw(ARM))
+    return Calibrator(FeltArm(ARM), TorchLaw(ARM))
 
 
 def built(seed, **changes):
@@ -157,18 +158,18 @@ def test_a_file_holds_the_calibration_and_is_of_one_arm(calibrator, tmp_path):
     calibration = calibrator.from_poses(unloaded(built(14), poses(3, rng), rng))
     path = tmp_path / "arm.calibration"
     write_calibration(path, calibration)
-    again = read_calibration(path, ARM)
+    again = read_calibration(path, FeltArm(ARM))
     np.testing.assert_array_equal(again.mean, calibration.mean)
     np.testing.assert_array_equal(again.covariance, calibration.covariance)
     assert again.chi2 == calibration.chi2
     assert [one.count for one in again.unloaded] == [COUNT] * 3
     with pytest.raises(CalibrationError, match="not of cdsm-"):
-        read_calibration(path, open_arm("cdsm"))
+        read_calibration(path, FeltArm(open_arm("cdsm")))
 
 
 @pytest.mark.parametrize("cut", [0, 10, 500, -10])
 def test_a_damaged_file_is_refused_in_one_line(calibrator, cut):
     content = calibration_bytes(calibrator.by_tolerances())[:cut]
     with pytest.raises(CalibrationError, match="no calibration file") as refused:
-        calibration_of(content, ARM, "arm.calibration")
+        calibration_of(content, FeltArm(ARM), "arm.calibration")
     assert "\n" not in str(refused.value)

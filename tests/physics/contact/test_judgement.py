@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
@@ -27,8 +28,8 @@ class Bench:
         self.rng = np.random.default_rng(21)
         self.built = BuiltArm(NOMINAL, Workmanship(), np.random.default_rng(22))
         self.law = TorchLaw(ARM)
-        self.judge = Judge(ARM)
-        calibrator = Calibrator(ARM, self.law)
+        self.judge = Judge(FeltArm(ARM))
+        calibrator = Calibrator(FeltArm(ARM), self.law)
         straight = np.zeros(ARM.joint_count)
         tensions = self.built.tensions_n(straight)
         reading = self.built.read(np.tile(tensions, (50, 1)), self.rng).mean(axis=0)
@@ -124,6 +125,6 @@ def test_two_pushes_are_no_single_contact(bench):
 def test_a_higher_threshold_asks_for_more(bench):
     reading = bench.reading(bench.push(3, 0.07, [0.0, 0.2, 0.0]))
     _, seen = bench.judged(reading)
-    assert Judge(ARM, 0.01)(seen, reading).state is not ContactState.FREE
-    sure = Judge(ARM, 1.0 - 1e-12)(seen, reading).state
+    assert Judge(FeltArm(ARM), 0.01)(seen, reading).state is not ContactState.FREE
+    sure = Judge(FeltArm(ARM), 1.0 - 1e-12)(seen, reading).state
     assert sure not in (ContactState.CONTACT, ContactState.MOMENT)

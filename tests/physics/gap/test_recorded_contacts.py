@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cablesense_contact.calibration import Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimates, Estimator
 from cablesense_gap.recorded_contacts import (
     RecordedArm,
@@ -68,7 +69,7 @@ def test_with_a_calibration_a_tare_is_taken_before_each_load() -> None:
     some = read_from(small_recording(peak_n=40.0).rows(np.r_[0:164, 200:236]))
     wandering_n = np.random.default_rng(1).normal(0.0, 1.0, (7, 12))
     wandered = replace(some, tensions_n=some.tensions_n + wandering_n[some.trial])
-    by_tolerances = Calibrator(workshop, law).by_tolerances()
+    by_tolerances = Calibrator(FeltArm(workshop), law).by_tolerances()
     once = recorded_errors(wandered, law)
     tared = recorded_errors(wandered, law, calibration=by_tolerances)
     assert tared.whole.contact_accuracy > 0.98
@@ -79,7 +80,7 @@ def test_with_a_calibration_a_tare_is_taken_before_each_load() -> None:
 
 def test_what_a_law_does_not_know_is_measured_under_known_loads(law: TorchLaw) -> None:
     made = read_from(small_recording(peak_n=12.0).rows(np.r_[0:164]))
-    by_tolerances = Calibrator(LAB, law).by_tolerances()
+    by_tolerances = Calibrator(FeltArm(LAB), law).by_tolerances()
     loaded = made.load_segment > 0
     noise_n = np.random.default_rng(2).normal(0.0, 0.3, made.tensions_n.shape)
     noisy = replace(made, tensions_n=made.tensions_n + loaded[:, None] * noise_n)

@@ -238,7 +238,7 @@ class BreathingArm:
 
     def __init__(self, over, settings):
         loaded = load_model("cdsm_friction", "")
-        self.estimation = Estimation(loaded.arm, loaded.contacts(settings), settings, 0.0)
+        self.estimation = Estimation(loaded.machine, loaded.contacts(settings), settings, 0.0)
         self.arm = SimulatedArm(moving_arm(FRICTION, 1e-3), 1e-3, np.radians(20.0), 0.0, 0.0)
         self.over = over
         self.rng = np.random.default_rng(0)

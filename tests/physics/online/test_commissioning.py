@@ -7,6 +7,7 @@ import pytest
 
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.reference_contacts import ReferenceContacts
 from cablesense_online.chosen_poses import PoseError, UnloadedReadings, chosen_poses
 from cablesense_online.commissioning import (
@@ -100,11 +101,13 @@ def commissioned(lab, built, count=None, **settings):
 
 def force_known_n(arm, law, poses):
     """What contacts will be known to, after these poses."""
-    calibrator = Calibrator(arm, law)
+    calibrator = Calibrator(FeltArm(arm), law)
     readings = UnloadedReadings(arm, law).predicted_n(poses, calibrator.by_tolerances())
     unloaded = [Unloaded(*both, 20) for both in zip(readings, poses, strict=True)]
     calibration = calibrator.moved(calibrator.from_poses(unloaded))
-    return ReferenceContacts(arm).force_known_n(law, calibration.mean, calibration.covariance)
+    return ReferenceContacts.of_arm(arm).force_known_n(
+        law, calibration.mean, calibration.covariance
+    )
 
 
 def test_chosen_poses_teach_more_than_random_ones(lab):
@@ -123,7 +126,7 @@ def test_chosen_poses_are_within_the_range_taut_and_near_one_another(lab):
     assert poses.shape == (25, arm.joint_count)
     assert len(np.unique(poses, axis=0)) == 25
     assert np.abs(poses).max() <= np.deg2rad(10.0)
-    prior = Calibrator(arm, law).by_tolerances()
+    prior = Calibrator(FeltArm(arm), law).by_tolerances()
     unloaded = UnloadedReadings(arm, law)
     assert unloaded.predicted_n(poses, prior).min() > 10.0
     assert unloaded.taut(poses, prior).all()
@@ -144,7 +147,7 @@ def test_predicted_readings_are_those_of_the_equilibrium(lab):
 
     arm, law, poses = lab
     predicted_n = UnloadedReadings(arm, law).predicted_n(
-        poses, Calibrator(arm, law).by_tolerances()
+        poses, Calibrator(FeltArm(arm), law).by_tolerances()
     )
     rest = solve_equilibrium(mechanism_of(arm), poses)
     np.testing.assert_allclose(predicted_n, rest.tensions_n, atol=0.02)
@@ -187,7 +190,7 @@ def test_a_built_arm_is_known_after_its_commissioning(lab, built):
     elsewhere = np.deg2rad(np.random.default_rng(3).uniform(-9.0, 9.0, (5, 8)))
     true_n = built.rests(elsewhere, [()] * 5).tensions_n * built.gains + built.zeros_n
     unloaded = UnloadedReadings(arm, law)
-    prior = Calibrator(arm, law).by_tolerances()
+    prior = Calibrator(FeltArm(arm), law).by_tolerances()
     off_before = np.abs(unloaded.predicted_n(elsewhere, prior) - true_n)
     off_after = np.abs(unloaded.predicted_n(elsewhere, done.calibration) - true_n)
     assert off_after.mean() < 0.1 * off_before.mean()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cablesense_base import CableSenseError
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Load
 from cablesense_online.answer import decide
 from cablesense_online.calibrated_arm import CalibratedArm
@@ -144,8 +145,8 @@ def lab_law():
 def known(law, arm=ARM, **changes):
     """An estimation that answers by the law of an arm."""
     settings = SETTINGS.model_copy(update=changes)
-    calibrated = CalibratedArm(arm, law, settings)
-    return LawContacts(arm, law, calibrated, 0.5, settings.hidden_above_n)
+    calibrated = CalibratedArm(FeltArm(arm), law, settings)
+    return LawContacts(FeltArm(arm), law, calibrated, 0.5, settings.hidden_above_n)
 
 
 def test_beside_a_bent_arm_no_tare_is_taken_before_a_command(law):
@@ -197,7 +198,9 @@ class Beside:
         settings = {"joint_speed_rad_s": math.radians(20.0), **parameters}
         contacts = known(law, arm, **settings)
         self.file = arm
-        self.estimation = Estimation(arm, contacts, SETTINGS.model_copy(update=settings), 0.0)
+        self.estimation = Estimation(
+            FeltArm(arm), contacts, SETTINGS.model_copy(update=settings), 0.0
+        )
         self.arm = SimulatedArm(ArmDynamics(arm), 1e-3, math.radians(20.0), 0.0, now_s=0.0)
         self.tick = 0
 

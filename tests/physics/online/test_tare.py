@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from estimation_settings import estimation_settings
 
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.contact_estimator import EstimationState
 from cablesense_online.motion import MotionGate
@@ -65,7 +66,7 @@ class Tared:
 
 
 def calibrated(law, calibration=None):
-    return Tared(CalibratedArm(ARM, law, SETTINGS), calibration)
+    return Tared(CalibratedArm(FeltArm(ARM), law, SETTINGS), calibration)
 
 
 def test_a_tare_needs_enough_steady_readings_at_one_pose(law):

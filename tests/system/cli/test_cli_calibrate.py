@@ -9,6 +9,7 @@ import pytest
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import read_calibration, write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.unloaded_holds import unloaded_holds
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
@@ -77,7 +78,7 @@ def test_poses_of_a_recording_become_a_calibration(calibrated):
     assert kinds["sensor_zero"]["count"] == 12
     assert kinds["sensor_zero"]["std"] < kinds["sensor_zero"]["tolerance"] == 0.5
     assert kinds["hole_outward"]["count"] == 12 + 12 + 9 + 6 + 3
-    calibration = read_calibration(file, ARM)
+    calibration = read_calibration(file, FeltArm(ARM))
     assert len(calibration.unloaded) == 12
     assert calibration.made_from == "poses, with unloaded readings in 12 poses"
 
@@ -137,7 +138,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(command, tmp_path):
 
 
 def test_info_needs_the_description_of_the_arm_in_the_file(command, tmp_path):
-    calibration = Calibrator(ARM, law=None).by_tolerances()
+    calibration = Calibrator(FeltArm(ARM), law=None).by_tolerances()
     write_calibration(tmp_path / "bare.calibration", calibration)
     ended = command("info", "bare.calibration")
     assert ended.returncode == 2

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model
 from cablesense_recording.csv_file import write_csv
@@ -80,7 +81,7 @@ def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path
     assert list(content) == ["cdsm_lab_anywhere", str(model)]
     law = LawModel(model)
     calibration = tmp_path / "arm.calibration"
-    write_calibration(calibration, Calibrator(law.arm, law).by_tolerances())
+    write_calibration(calibration, Calibrator(FeltArm(law.arm), law).by_tolerances())
     shown = _run(
         "--recording", file, "--model", model, "--calibration", calibration, "--picture", picture
     )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap import adaptation
 from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
@@ -68,7 +69,7 @@ def test_a_better_estimator_is_written_with_its_calibration(command, record, tmp
     arm = load_arm(tmp_path / "adapted" / "amended_arm.yaml")
     made_by = f"{arm.identity} by cablesense gap adapt new.csv --arm cdsm_lab --out adapted"
     assert (tmp_path / "adapted" / "estimator.onnx").read_text() == made_by
-    calibration = read_calibration(tmp_path / "adapted" / "calibration.npz", arm)
+    calibration = read_calibration(tmp_path / "adapted" / "calibration.npz", FeltArm(arm))
     assert calibration.made_from == "the diagnosis of new"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cablesense_contact.calibration import Calibrator
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_online.models import load_model
 from examples.cpp_estimator import known
@@ -30,7 +31,7 @@ def test_what_is_known_is_written_as_mean_and_covariance(tmp_path):
     out = tmp_path / "known.bin"
     known.main("cdsm_lab", str(out))
     loaded = load_model("cdsm_lab", "")
-    calibration = Calibrator(loaded.arm, loaded.model).by_tolerances()
+    calibration = Calibrator(FeltArm(loaded.arm), loaded.model).by_tolerances()
     numbers = np.fromfile(out)
     size = len(calibration.mean)
     np.testing.assert_array_equal(numbers[:size], calibration.mean)
@@ -55,7 +56,7 @@ def test_compiled_it_answers_as_python_does(tmp_path):
     out = tmp_path / "known.bin"
     known.main("cdsm_lab", str(out))
     loaded = load_model("cdsm_lab", "")
-    calibration = Calibrator(loaded.arm, loaded.model).by_tolerances()
+    calibration = Calibrator(FeltArm(loaded.arm), loaded.model).by_tolerances()
     reading = 50.0 + np.linspace(-10.0, 10.0, 12)
     still = np.zeros((8, 8))
     seen = loaded.model(reading[None], still[:1], calibration.mean, calibration.covariance, still)

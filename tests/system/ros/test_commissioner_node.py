@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_of, described_arm, read_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_sim.arm import open_arm
 
 STATUS = "commissioner: commissioning"
@@ -65,12 +66,12 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
     graph.until(lambda: received, "the calibration")
     arm = open_arm("cdsm_lab")
     content = bytes(received[0].data)
-    calibration = calibration_of(content, arm, "calibration")
+    calibration = calibration_of(content, FeltArm(arm), "calibration")
     assert described_arm(content, "calibration") == arm
     assert len(calibration.unloaded) == 4
     assert calibration.as_described
     assert calibration.changed_ns > 1.7e18  # of this century
-    np.testing.assert_array_equal(read_calibration(file, arm).mean, calibration.mean)
+    np.testing.assert_array_equal(read_calibration(file, FeltArm(arm)).mean, calibration.mean)
 
 
 @pytest.mark.timeout(300)

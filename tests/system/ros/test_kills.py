@@ -9,6 +9,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model
 from cablesense_msgs_py.qos import Qos
@@ -60,7 +61,7 @@ def calibrated(folder):
     arm = open_arm("cdsm")
     straight = np.zeros(arm.joint_count)
     reading_n = solve_equilibrium(mechanism_of(arm), straight).tensions_n
-    calibrator = Calibrator(arm, LawModel(find_model("cdsm_anywhere"), arm))
+    calibrator = Calibrator(FeltArm(arm), LawModel(find_model("cdsm_anywhere"), arm))
     path = folder / "known.npz"
     write_calibration(path, calibrator.from_poses([Unloaded(reading_n, straight, count=50)]))
     return path

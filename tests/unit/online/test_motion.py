@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from estimation_settings import estimation_settings
 
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.answer import Answer
 from cablesense_online.contact_estimator import ContactEstimator, EstimationState, Sample
@@ -130,7 +131,7 @@ def test_a_slow_motion_is_followed_along_the_set_points_and_ends_at_the_command(
 
 def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
     watched = Gate(STILL, FOLLOW)
-    estimator = ContactEstimator(ARM, NoContacts(), watched.settings)
+    estimator = ContactEstimator(FeltArm(ARM), NoContacts(), watched.settings)
     counts = SampleCounts(0.0)
 
     def status_after(step):

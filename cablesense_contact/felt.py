@@ -1,0 +1,242 @@
+"""A machine as estimates see it: its channels, links, commands, and what is uncertain about it.
+
+Two kinds of machines answer this: `felt_arm.FeltArm`, an arm of an arm file, and
+`machine.felt_model.FeltModel`, a machine that MuJoCo describes. What finds contacts, takes tares
+and judges readings knows no other difference between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_contact.slides import Belief, Slides
+from cablesense_sim.parameter_groups import GroupedParameters
+
+
+class ChannelLimits(NamedTuple):
+    """What the M sensors can read.
+
+    Attributes:
+        names, units: of the channels, the latter `N` or `N·m`.
+        lowest, highest: (M,) readings; infinite where there is no limit.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    lowest: Array
+    highest: Array
+
+
+class LinksAtPose(NamedTuple):
+    """The N links at a pose, with T torques at the joints.
+
+    Attributes:
+        axes: (N, 3, 3) of the links' frames in base axes, in columns; x is along the link.
+        origin_m: (N, 3) of the frames.
+        by_force_m: (N, 3, T) torques of unit forces at the origins, along the links' axes.
+        by_place: (N, 3, T) their slope by the place along the link.
+    """
+
+    axes: Array
+    origin_m: Array
+    by_force_m: Array
+    by_place: Array
+
+
+class LinkFrames(NamedTuple):
+    """Where the links' frames are in the frames that messages name, both fixed to the link.
+
+    Attributes:
+        axes: (N, 3, 3) in columns.
+        origin_m: (N, 3).
+    """
+
+    axes: Array
+    origin_m: Array
+
+
+class SlidesUnderLoad(Protocol):
+    """Slides as readings under a load show them."""
+
+    @property
+    def slides(self) -> Slides:
+        """What is known of them now."""
+        ...
+
+    def after(self, reading_n: Array) -> SlidesUnderLoad:
+        """The same after one more reading (M,)."""
+        ...
+
+
+class KnownSlides(Protocol):
+    """What is known of the slides of cables at their guides, by what has moved them."""
+
+    @property
+    def unknown(self) -> Slides:
+        """The machine has moved, who knows in which direction."""
+        ...
+
+    @property
+    def freed(self) -> Slides:
+        """After a breath, which takes friction out of all readings."""
+        ...
+
+    def matter(self, known: Belief) -> bool:
+        """Whether friction is more than a trifle in what is read."""
+        ...
+
+    def after_motion(self, from_rad: Array, to_rad: Array) -> Slides:
+        """Those of the unloaded machine after a straight motion between two commands."""
+        ...
+
+    def under_load(
+        self, command_rad: Array, untouched_n: Array, known: Belief, arrived: Slides | None = None
+    ) -> SlidesUnderLoad:
+        """Follows readings at one command, from those of the untouched machine (M,) on."""
+        ...
+
+    def rounded(self, slides: Slides) -> tuple[bytes, Slides]:
+        """Slides to a coarse step, and a key of them: nearly the same ones are one."""
+        ...
+
+    def carried(self, known: Belief, slides: Slides) -> Belief:
+        """What is known with these slides."""
+        ...
+
+    def by_lasting(self, slope: Array, slides: Slides) -> Array:
+        """Slopes (D, P) of innovations by what lasts, without what friction carries."""
+        ...
+
+    def alone(self, known: Belief, slides: Slides) -> Array:
+        """Variances of what is carried by the slides alone, in the order of the parameters."""
+        ...
+
+
+class FeltMachine(Protocol):
+    """A machine with M channels, C numbers in a command, N links, T torques, P parameters."""
+
+    @property
+    def name(self) -> str:
+        """Of the machine."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """What tells it from others, and from itself with another description."""
+        ...
+
+    @property
+    def channels(self) -> ChannelLimits:
+        """Its sensors."""
+        ...
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """(C,) names in the messages of commands, or of measured joints."""
+        ...
+
+    @property
+    def torque_names(self) -> tuple[str, ...]:
+        """(T,) names of the joints whose torques contacts change."""
+        ...
+
+    @property
+    def first_command(self) -> Array:
+        """(C,) where it is taken to be before any command."""
+        ...
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """(N,) frames in which contacts are stated."""
+        ...
+
+    @property
+    def link_frames(self) -> LinkFrames | None:
+        """The links' own frames in these; None where they are the same."""
+        ...
+
+    @property
+    def parameters(self) -> GroupedParameters:
+        """What is uncertain."""
+        ...
+
+    @property
+    def zeros(self) -> NDArray[np.int64]:
+        """(M,) numbers of the parameters that are the channels' zeros."""
+        ...
+
+    @property
+    def carried_friction(self) -> slice:
+        """Where the parameters stand that are the state of friction."""
+        ...
+
+    @property
+    def slides(self) -> KnownSlides:
+        """How that state follows from what moves the cables."""
+        ...
+
+    @property
+    def surface_friction(self) -> float:
+        """Bound to axial over lateral forces; zero where contacts act on the axes."""
+        ...
+
+    @property
+    def known_n(self) -> float:
+        """A force counts as known where half of its interval is below this, N."""
+        ...
+
+    @property
+    def drift_per_hour(self) -> float:
+        """Of the channels' zeros, in their units."""
+        ...
+
+    @property
+    def slack_below(self) -> Array:
+        """(M,) readings below which an unloaded cable may be slack."""
+        ...
+
+    @property
+    def contact_m(self) -> Sequence[float]:
+        """(N,) a point on each link at which it is said to be touched where no place is known."""
+        ...
+
+    @property
+    def middle_m(self) -> Array:
+        """(N,) the middle of where each link is touched."""
+        ...
+
+    @property
+    def joint_m(self) -> Array:
+        """(N,) where the links' frames are along the whole machine."""
+        ...
+
+    def mean_variance(self, count: int) -> Array:
+        """(M,) variance of the mean of some readings."""
+        ...
+
+    def innovation_noise(self, command: Array, variance: Array) -> Array:
+        """(D, D) covariance of innovations of readings with variances (M,) at a command."""
+        ...
+
+    def unrest(self, speed_rad_s: Array, swing_rad_s2: Array) -> Array:
+        """(T, T) covariance of torques by a motion of its commands (C,)."""
+        ...
+
+    def frame_pose(self, command: Array, pose: Array) -> Array:
+        """The pose in whose frames contacts are stated, of a command (C,) and a pose (T,)."""
+        ...
+
+    def links_at(self, pose: Array) -> LinksAtPose:
+        """The links at such a pose."""
+        ...
+
+
+def still(machine: FeltMachine) -> Array:
+    """(T, T) covariance of torques of a machine at rest."""
+    count = len(machine.torque_names)
+    return np.zeros((count, count))

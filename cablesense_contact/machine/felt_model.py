@@ -1,0 +1,128 @@
+"""A machine that MuJoCo describes, as estimates see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.felt import ChannelLimits, LinkFrames, LinksAtPose
+from cablesense_contact.machine.carried_slides import CarriedSlides
+from cablesense_contact.machine.law import GRAPH_FORCE_N
+from cablesense_contact.machine.observation import Observer
+from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts, ReferenceLoads
+from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.parameters import MachineParameters
+from cablesense_sim.machine.statics import LinkForce, MachineStatics
+
+_KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
+"""A force is known if half of its interval is below this share of the largest one."""
+_SLACK_BELOW_STD = 4.0
+"""An unloaded reading below this many deviations of a sensor's zero may be of a slack tendon."""
+
+
+class FeltModel:
+    """See `felt.FeltMachine`; its frames are those of the model's bodies.
+
+    Attributes:
+        source: the machine.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.source = machine
+        self._statics = MachineStatics(machine)
+        self._observer = Observer(machine)
+        channels = machine.channels
+        links = machine.links
+        tolerances = machine.source.file.tolerances
+        parameters = self._observer.parameters
+        slices = parameters.slices
+        self.parameters: MachineParameters = parameters
+        self.name = machine.name
+        self.identity = machine.identity
+        self.command_names = machine.command_names
+        self.torque_names = machine.coordinates.names
+        self.first_command = self._observer.command_of(machine.reference)
+        self.link_names = links.names
+        self.surface_friction = machine.source.file.touch.friction
+        self.known_n = _KNOWN_SHARE * machine.source.file.touch.largest_n
+        self.drift_per_hour = tolerances.drift_per_hour
+        self.contact_m: Sequence[float] = links.touched_m.mean(axis=1).tolist()
+        self.middle_m: Array = links.touched_m.mean(axis=1)
+        span_m = links.touched_m[:, 1] - links.touched_m[:, 0]
+        self.joint_m: Array = np.cumsum(span_m) - links.touched_m[:, 1]
+        self.channels = ChannelLimits(
+            channels.names, channels.units, channels.lowest, channels.highest
+        )
+        self.link_frames = LinkFrames(links.axes, links.origin_m)
+        self.zeros = np.zeros(len(channels.names), dtype=np.int64)
+        numbers = np.arange(len(parameters))
+        self.zeros[parameters.is_force] = numbers[slices["sensor_zero"]]
+        self.zeros[~parameters.is_force] = numbers[slices["torque_zero"]]
+        self.carried_friction = slices["carried_friction"]
+        self.slides = CarriedSlides(self.carried_friction, slices["friction"].start)
+        zero_n = np.where(parameters.is_force, tolerances.zero_n, -np.inf)
+        self.slack_below = _SLACK_BELOW_STD * np.hypot(zero_n, np.sqrt(channels.variance))
+        self.slack_below[~parameters.is_force] = -np.inf
+
+    def mean_variance(self, count: int) -> Array:
+        """(M,) variance of the mean of some readings; rounding does not average out."""
+        channels = self.source.channels
+        return np.asarray(channels.noise_std**2 / count + channels.step**2 / 12.0)
+
+    def innovation_noise(self, command: Array, variance: Array) -> Array:
+        """(D, D) covariance of innovations of readings with variances (M,) at a command."""
+        return self._observer.noise(command, variance)
+
+    def unrest(self, speed_rad_s: Array, swing_rad_s2: Array) -> Array:
+        """(n, n) covariance of the torques of inertia and damping, as large as they are."""
+        if len(speed_rad_s) != len(self.torque_names):
+            # actuators are commanded: how joints move is not known
+            return np.zeros((len(self.torque_names),) * 2)
+        return self._statics.unrest(speed_rad_s, swing_rad_s2)
+
+    def frame_pose(self, command: Array, pose: Array) -> Array:
+        """The commanded pose, or, where actuators are commanded, the one that was found."""
+        return pose if self.source.source.file.joints == "actuators" else command
+
+    def links_at(self, pose: Array) -> LinksAtPose:
+        """The links at a pose (n,)."""
+        self._statics.at(pose)
+        frames = self._statics.links()
+        turn = frames.axes.transpose(0, 2, 1)
+        along = frames.axes[:, :, 0]
+        slope = np.cross(frames.by_moment, along[:, :, None], axis=1)
+        return LinksAtPose(frames.axes, frames.origin_m, turn @ frames.by_force_m, turn @ slope)
+
+    def reference_contacts(self) -> ReferenceContacts:
+        """Contacts across every link, in the reference pose.
+
+        Raises:
+            MachineError: it does not bear such a contact.
+        """
+        machine = self.source
+        command = self.first_command
+        rest, _ = self._observer.untouched(command, self.parameters.prior_mean * 0.0)
+        self._statics.at(rest)
+        axes = self._statics.links().axes
+        direction = np.array([0.0, 0.0, 1.0])
+        count = len(machine.links.names)
+        readings = [
+            self._observer.reading_under(
+                command,
+                LinkForce(
+                    n, np.array([self.middle_m[n], 0.0, 0.0]), FORCE_N * axes[n] @ direction
+                ),
+            )
+            for n in range(count)
+        ]
+        loads = ReferenceLoads(
+            reading=np.array(readings),
+            command=np.tile(command, (count, 1)),
+            link=np.arange(count),
+            place_m=self.middle_m,
+            direction=np.tile(direction, (count, 1)),
+            reach_m=machine.links.touched_m,
+        )
+        return ReferenceContacts(loads, len(self.torque_names))
