@@ -141,6 +141,7 @@ setup(
     entry_points={
         "console_scripts": [
             "cablesense = cablesense_ros.cli.app:main",
+            "machine_sim = cablesense_ros.machine_sim_node:main",
             "sim = cablesense_ros.sim_node:main",
             "estimator = cablesense_ros.estimator_node:main",
             "page = cablesense_ros.page_node:main",

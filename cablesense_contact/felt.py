@@ -141,8 +141,18 @@ class FeltMachine(Protocol):
         ...
 
     @property
+    def reads_joints(self) -> bool:
+        """Whether its commands are measured positions of joints."""
+        ...
+
+    @property
     def torque_names(self) -> tuple[str, ...]:
         """(T,) names of the joints whose torques contacts change."""
+        ...
+
+    @property
+    def largest_command(self) -> float:
+        """Commands are within ± this."""
         ...
 
     @property

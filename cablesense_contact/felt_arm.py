@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.felt import ChannelLimits, LinksAtPose
+from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, per_segment
 from cablesense_sim.build import mechanism_of
@@ -39,6 +40,8 @@ class FeltArm:
 
     link_frames = None
     known_n = _KNOWN_N
+    reads_joints = False
+    largest_command = MAX_JOINT_ANGLE_RAD
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm

@@ -31,10 +31,14 @@ MAX_LOAD_N = 2_000.0
 class NamedOrder:
     """Arranges named values in the order of `names`, whatever order they come in."""
 
-    def __init__(self, names: Sequence[str], what: str) -> None:
-        """`names` is the order wanted; `what` ("cables") is their kind, for errors."""
+    def __init__(self, names: Sequence[str], what: str, *, among_others: bool = False) -> None:
+        """`names` is the order wanted; `what` ("cables") is their kind, for errors.
+
+        `among_others` is whether a message may have other names, too.
+        """
         self.names = tuple(names)
         self._what = what
+        self._among_others = among_others
 
     def arrange(self, names: Sequence[str], values: Sequence[float], field: str) -> Array:
         """What `pick` gives, as an array."""
@@ -64,7 +68,9 @@ class NamedOrder:
         counts = Counter(given)
         wrong = {
             "missing": [name for name in self.names if name not in counts],
-            "unknown": [name for name in counts if name not in self.names],
+            "unknown": [
+                name for name in counts if name not in self.names and not self._among_others
+            ],
             "more than once": [name for name, count in counts.items() if count > 1],
         }
         problems = "; ".join(
@@ -89,11 +95,16 @@ def put_joint_angles(message: Any, angles_rad: Array) -> None:
     message.position = array.array("d", angles_rad.tolist())
 
 
-def joint_command_rad(message: Any, order: NamedOrder, present_rad: Array | None = None) -> Array:
+def joint_command_rad(
+    message: Any,
+    order: NamedOrder,
+    present_rad: Array | None = None,
+    largest: float = MAX_JOINT_ANGLE_RAD,
+) -> Array:
     """The (2N,) joint angles that a `JointState` commands, in the arm's order.
 
     It may name other machines' joints, and some of this arm's: the others keep their `present_rad`
-    (2N,), straight where there is none.
+    (2N,), straight where there is none. No position is beyond ± `largest`.
 
     Raises:
         ContractError: none of the arm's joints is named, or one repeatedly, or an angle is not
@@ -109,7 +120,8 @@ def joint_command_rad(message: Any, order: NamedOrder, present_rad: Array | None
         order.pick(names, angles, "position")  # says what is wrong
     before = np.zeros(len(order.names)) if present_rad is None else present_rad
     command = np.array([angle_by_name.get(n, b) for n, b in zip(order.names, before, strict=True)])
-    _require_within(order, command, MAX_JOINT_ANGLE_RAD, "rad (a third of pi)")
+    unit = "rad (a third of pi)" if largest == MAX_JOINT_ANGLE_RAD else "rad or m"
+    _require_within(order, command, largest, unit)
     return command
 
 

@@ -90,8 +90,7 @@ def chosen_poses(
     Raises:
         PoseError: in too few poses all cables are taut.
     """
-    calibrator = Calibrator(FeltArm(arm), law)
-    prior = calibrator.by_tolerances()
+    prior = Calibrator(FeltArm(arm), law).by_tolerances()
     candidates = _candidates(arm, law, prior, bend_rad, np.random.default_rng(seed))
     if len(candidates) < count:
         raise PoseError(
@@ -99,7 +98,7 @@ def chosen_poses(
             f"degrees leave all cables of {arm.name} above {_TAUT_SHARE:.0%} of their pretension; "
             f"{count} are needed: bend less, or give more pretension"
         )
-    design = _Design(arm, law, calibrator, prior, readings)
+    design = _Design(arm, law, prior, readings)
     slopes, noise_n2 = design.seen_from(candidates)
     remaining = np.arange(len(candidates))
     chosen = []
@@ -133,9 +132,7 @@ class _Design:
     Lasting parameters are all but what friction carries, which is another in each pose.
     """
 
-    def __init__(
-        self, arm: Arm, law: Law, calibrator: Calibrator, prior: Calibration, readings: int
-    ) -> None:
+    def __init__(self, arm: Arm, law: Law, prior: Calibration, readings: int) -> None:
         self._law = law
         self._prior = prior
         self._predicted = UnloadedReadings(arm, law)

@@ -120,7 +120,9 @@ class ContactEstimator:
         self.gate = MotionGate(settings)
         self._machine = machine
         self._reader = EffortReader()
-        self._cable_order = NamedOrder(machine.channels.names, "cables")
+        self._cable_order = NamedOrder(
+            machine.channels.names, "cables", among_others=machine.reads_joints
+        )
         self._joint_order = NamedOrder(machine.command_names, "joints")
         self._limits = ReadingLimits(machine.channels)
         self._joint_m = machine.joint_m
@@ -256,7 +258,9 @@ class ContactEstimator:
         Raises:
             CableSenseError: the message breaks the contract; the previous command stays in force.
         """
-        command_rad = joint_command_rad(message, self._joint_order, state.motion.command_rad)
+        command_rad = joint_command_rad(
+            message, self._joint_order, state.motion.command_rad, self._machine.largest_command
+        )
         turn = breath_turn(message)
         if turn is None:
             return self.sent_to(state, command_rad)

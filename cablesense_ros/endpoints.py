@@ -271,8 +271,12 @@ class CommandInput:
         joint_names: Sequence[str],
         present_rad: Callable[[], Array],
         take: Callable[[JointState], object],
+        topic: str = topics.JOINT_COMMANDS,
     ) -> None:
-        """`take` gets the commands, `present_rad` gives the one in force (2N,)."""
+        """`take` gets the commands, `present_rad` gives the one in force (2N,).
+
+        `topic` is another one where measured joint positions stand for commands.
+        """
         self._node = node
         self._refuse = refuse
         self._take = take
@@ -283,7 +287,7 @@ class CommandInput:
         self._positions_rad: Array = np.zeros((0, 0))
         self._start_s = 0.0
         self._subscriptions = [
-            refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, take),
+            refuse.subscribe(JointState, topic, COMMAND, take),
             refuse.subscribe(JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND, self._begin),
         ]
         self._timer = steady_timer(node, TRAJECTORY_PERIOD_S, self._follow)

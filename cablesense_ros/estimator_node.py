@@ -93,6 +93,7 @@ class EstimatorNode(ConfiguredNode):
             machine.command_names,
             lambda: self._estimation.state.motion.command_rad,
             self._on_command,
+            topics.JOINT_STATES if machine.reads_joints else topics.JOINT_COMMANDS,
         )
         at_end(commands.destroy)
         at_end(self.destroy_timer, steady_timer(self, STALE_CHECK_S, self._check_stale))

@@ -67,6 +67,10 @@ class GroupedParameters:
         """Where the parameters of each kind stand."""
         return dict(self._slices())
 
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """Deviations (P,) of a machine of these tolerances."""
+        return self.prior_mean + self.prior_std * rng.standard_normal(len(self))
+
     def _slices(self) -> Iterator[tuple[str, slice]]:
         begin = 0
         for group in self.groups:

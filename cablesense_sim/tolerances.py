@@ -225,7 +225,7 @@ class ArmParameters(GroupedParameters):
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Deviations (P,) of an arm of these tolerances, with slides between -1 and 1."""
-        theta = self.prior_mean + self.prior_std * rng.standard_normal(len(self))
+        theta = super().drawn(rng)
         friction = self.slices["friction"]
         theta[friction] = np.abs(theta[friction])
         carried = self.carried_friction

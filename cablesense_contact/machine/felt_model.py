@@ -18,6 +18,8 @@ from cablesense_sim.machine.statics import LinkForce, MachineStatics
 
 _KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
 """A force is known if half of its interval is below this share of the largest one."""
+_LARGEST_COMMAND = 1e3
+"""rad or m, that a command states: a number beyond is not meant."""
 _SLACK_BELOW_STD = 4.0
 """An unloaded reading below this many deviations of a sensor's zero may be of a slack tendon."""
 
@@ -42,6 +44,8 @@ class FeltModel:
         self.name = machine.name
         self.identity = machine.identity
         self.command_names = machine.command_names
+        self.reads_joints = machine.is_measured
+        self.largest_command = _LARGEST_COMMAND
         self.torque_names = machine.coordinates.names
         self.first_command = self._observer.command_of(machine.reference)
         self.link_names = links.names

@@ -178,9 +178,21 @@ class Observer:
             return np.asarray(tensions[self.machine.channels.tendon])
         balance = statics.at(known.pose)
         wanted = balance.load + force_on(statics.links(), force)
-        by_channel = self._by_channel(balance.moment)
-        # of all readings that balance the load the smallest
-        return np.asarray(np.linalg.lstsq(by_channel, wanted, rcond=None)[0])
+        return self.balancing(balance.moment, wanted)
+
+    def balancing(self, moment: Array, wanted: Array) -> Array:
+        """(M,) of all readings that balance forces (n,) the smallest; joints are measured.
+
+        `moment` (K, n) are those of the tendons. Cables that would have to push read what they
+        have at least, their pretension.
+        """
+        by_channel = self._by_channel(moment)
+        base = np.zeros(by_channel.shape[1])
+        is_tension = self.machine.channels.tendon >= 0
+        tendons = self.machine.channels.tendon[is_tension]
+        base[is_tension] = self.machine.tendons.pretension_n[tendons]
+        change = np.linalg.lstsq(by_channel, wanted - by_channel @ base, rcond=None)[0]
+        return np.asarray(base + change)
 
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.

@@ -20,6 +20,7 @@ from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info, urdf
+from cablesense_ros.cli.machine import machine
 from cablesense_ros.cli.runs import demo, record, replay
 from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import dataset, train
@@ -34,7 +35,19 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, export, dataset, train, evaluate, info, urdf, calibrate, record, replay):
+for verb in (
+    demo,
+    machine,
+    export,
+    dataset,
+    train,
+    evaluate,
+    info,
+    urdf,
+    calibrate,
+    record,
+    replay,
+):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

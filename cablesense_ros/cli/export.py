@@ -25,8 +25,24 @@ def export(
     contact anywhere on the arm, and with its rivals. Nothing is trained: it follows from the arm
     file. The model file contains the arm and this command.
 
+    In place of an arm file --arm takes a machine file, beside an MJCF or a URDF of any other
+    cable-driven machine (`cablesense machine`).
+
     Example: cablesense export --arm my_arm.yaml --out my_arm.onnx
     """
+    from cablesense_sim.machine.description import is_machine_file
+
+    started = time.perf_counter()
+    command = command_line("export", {"arm": arm, "out": out})
+    if arm.endswith((".yaml", ".yml")) and is_machine_file(arm):
+        content = _exported_machine(arm, out, command, force=force)
+    else:
+        content = _exported_arm(arm, out, command, force=force)
+    content["seconds"] = time.perf_counter() - started
+    print_result("Estimator of contacts anywhere", content, json_output)
+
+
+def _exported_arm(arm: str, out: Path, command: str, *, force: bool) -> dict[str, object]:
     from cablesense_sim.arm import find_arm, load_arm
     from cablesense_sim.uncertain_arm import arm_parameters
     from cablesense_training.law_export import export_law
@@ -34,13 +50,26 @@ def export(
     arm_file = find_arm(arm)
     output_file(out, force=force, inputs=(arm_file,))
     description = load_arm(arm_file)
-    started = time.perf_counter()
-    export_law(description, out, command_line("export", {"arm": arm, "out": out}))
-    content = {
+    export_law(description, out, command)
+    return {
         "out": str(out),
         "arm": description.identity,
         "bytes": out.stat().st_size,
         "parameters": len(arm_parameters(description)),
-        "seconds": time.perf_counter() - started,
     }
-    print_result("Estimator of contacts anywhere", content, json_output)
+
+
+def _exported_machine(file: str, out: Path, command: str, *, force: bool) -> dict[str, object]:
+    from cablesense_sim.machine.machine import open_machine
+    from cablesense_sim.machine.parameters import MachineParameters
+    from cablesense_training.machine_export import export_machine
+
+    machine = open_machine(file)
+    output_file(out, force=force, inputs=(Path(file), machine.source.model_path))
+    export_machine(machine, out, command)
+    return {
+        "out": str(out),
+        "machine": machine.identity,
+        "bytes": out.stat().st_size,
+        "parameters": len(MachineParameters(machine)),
+    }

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cablesense_contact.felt import ChannelLimits
 from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.answer import Answer
 from cablesense_online.contact_estimator import Sample
@@ -51,6 +52,13 @@ def test_stamps_step_back_where_the_clock_does():
 GOOD = [50.0] * 12
 
 
+def limits(range_n):
+    low, high = range_n or (-math.inf, math.inf)
+    names = tuple(f"cable_{n}" for n in range(1, 13))
+    channels = ChannelLimits(names, ("N",) * 12, np.full(12, low), np.full(12, high))
+    return ReadingLimits(channels)
+
+
 def changed(cable, tension):
     return [*GOOD[: cable - 1], tension, *GOOD[cable:]]
 
@@ -66,12 +74,12 @@ def changed(cable, tension):
 @pytest.mark.parametrize("cable", [1, 12])
 def test_readings_that_no_cable_carries_are_refused_by_cable(cable, range_n, tension, kind):
     with pytest.raises(SampleError, match=f"cable_{cable} ") as caught:
-        ReadingLimits(range_n).check(changed(cable, tension))
+        limits(range_n).check(changed(cable, tension))
     assert caught.value.kind is kind
 
 
 def test_slack_cables_are_named_and_no_fault():
-    ReadingLimits(None).check(changed(3, -1.0))
+    limits(None).check(changed(3, -1.0))
     assert slack_cables(changed(3, -1.0), 1.0) == (3,)
     assert slack_cables(GOOD, 1.0) == ()
 
