@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,6 +23,8 @@ from cablesense_base.plain_yaml import FilePart, Number, read_plain
 MAX_FILE_BYTES = 200_000
 """A machine file is a page or two of text."""
 _MAX_MODEL_BYTES = 50_000_000
+_TAKEN_IN = re.compile(rb"<(?:include|model)\b[^>]*?\bfile\s*=\s*[\"']([^\"']+\.xml)[\"']")
+"""Files that an MJCF includes, or attaches parts of; paths count from the folder of the first."""
 
 
 class MachineError(CableSenseError):
@@ -247,12 +250,26 @@ def read_machine_file(path: str | Path) -> OpenedMachine:
     text = read_bounded_text(path, MAX_FILE_BYTES, "a machine file", MachineError)
     description = read_plain(text, str(path), MachineFile, MachineError)
     model_path = path.parent / description.model
-    content = read_bounded_bytes(model_path, _MAX_MODEL_BYTES, "an MJCF or a URDF", MachineError)
     stated = json.dumps(description.model_dump(mode="json"), sort_keys=True).encode()
-    digest = hashlib.sha256(stated + content).hexdigest()[:12]
+    digest = hashlib.sha256(stated + _model_content(model_path)).hexdigest()[:12]
     return OpenedMachine(
         file=description, path=path, model_path=model_path, identity=f"{description.name}-{digest}"
     )
+
+
+def _model_content(path: Path) -> bytes:
+    """The text of a model, followed by those of the MJCF files that it takes in."""
+    pending = [path]
+    read: dict[Path, bytes] = {}
+    while pending:
+        part = pending.pop(0)
+        if part in read:
+            continue
+        read[part] = read_bounded_bytes(
+            part, _MAX_MODEL_BYTES, "an MJCF or a URDF", MachineError
+        )
+        pending += [path.parent / name.decode() for name in _TAKEN_IN.findall(read[part])]
+    return b"".join(read.values())
 
 
 def is_machine_file(path: str | Path) -> bool:
