@@ -17,6 +17,8 @@ _LEAST_NOISE = 1e-3
 """Noise of a sensor, N or N·m, at least."""
 _USUAL_NOISE = 0.05
 """Noise of a sensor whose actuator states no largest force."""
+_PRETENSION_N = 20.0
+"""Of tendons whose model does not say what draws them at rest."""
 _LONG_SHAPES = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -50,6 +52,8 @@ def guessed_machine_file(path: Path) -> str:
         lines += _joints_line(are_held)
         lines += ["sensors:", "  tension:"]
         lines += _channel_lines(model, {t: drawn.get(t, -1) for t in tendons}, of_tendons=True)
+        if are_held and drawn:
+            lines += ["cables:", f"  pretension_n: {_PRETENSION_N:g}  # in the model's first pose"]
     else:
         lines += _joints_line(False)
         lines += ["sensors:", "  torque:"]
@@ -124,7 +128,7 @@ def _touched_lines(model: mujoco.MjModel) -> list[str]:
             continue
         start, end, radius_m = axis
         ends = ", ".join(
-            f"{key}: [{', '.join(f'{x:.4g}' for x in place.tolist())}]"
+            f"{key}: [{', '.join(f'{round(x, 5):g}' for x in place.tolist())}]"
             for key, place in (("start_m", start), ("end_m", end))
         )
         lines.append(f"    - {{link: {name}, {ends}, radius_m: {radius_m:.3g}}}")
@@ -142,7 +146,13 @@ def _longest_axis(model: mujoco.MjModel, body: int) -> tuple[Array, Array, float
         half_m, direction, radius_m, centre = shape
         if best is None or half_m > best[0]:
             best = half_m, centre - half_m * direction, centre + half_m * direction, radius_m
-    return None if best is None else best[1:]
+    if best is None:
+        return None
+    _, start, end, radius_m = best
+    if np.linalg.norm(end) < np.linalg.norm(start):
+        # an axis leads away from the joint
+        start, end = end, start
+    return start, end, radius_m
 
 
 def _axis_of(model: mujoco.MjModel, geom: int) -> tuple[float, Array, float, Array] | None:

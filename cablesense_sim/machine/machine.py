@@ -254,7 +254,12 @@ def _tendons(model: mujoco.MjModel, source: OpenedMachine, pose: Array) -> Tendo
             "sensor under sensors.tension.of, or list it under cables.unread if it is a spring"
         )
     ids = np.array([there.index(name) for name in wanted], dtype=np.int64)
-    by_model, held_n = _as_modelled(model, ids, drawn[ids], pose)
+    if file.reference is None and file.cables.pretension_n is None and (drawn[ids] >= 0).any():
+        raise MachineError(
+            f"{source.path}: what actuators pull the tendons with at rest is not known; state "
+            "cables.pretension_n, or name a keyframe with their controls as reference"
+        )
+    by_model, held_n = _as_modelled(model, ids, drawn[ids], pose, file.reference)
     stiffness = _stated(file.cables.stiffness_n_m, wanted, by_model, "stiffness_n_m", source)
     pretension = _stated(file.cables.pretension_n, wanted, held_n, "pretension_n", source)
     if file.joints != "measured" and (stiffness >= _STIFFEST_N_M).any():
@@ -278,12 +283,12 @@ def _drawn_by(model: mujoco.MjModel) -> Indices:
 
 
 def _as_modelled(
-    model: mujoco.MjModel, ids: Indices, drawn: Indices, pose: Array
+    model: mujoco.MjModel, ids: Indices, drawn: Indices, pose: Array, keyframe: str | None
 ) -> tuple[Array, Array]:
     """(K,) stiffness of tendons, N/m, and their tensions at a pose (nq,), by the model alone."""
     data = mujoco.MjData(model)
-    if model.nkey:
-        mujoco.mj_resetDataKeyframe(model, data, 0)
+    if keyframe is not None:
+        mujoco.mj_resetDataKeyframe(model, data, model.key(keyframe).id)
     data.qpos[:] = pose
     data.qvel[:] = 0.0
     mujoco.mj_forward(model, data)
