@@ -78,15 +78,15 @@ def _trial(machine: Machine) -> dict[str, Array]:
     still = np.zeros((count, count))
     command = observer.command_of(machine.reference)
     push_n = _PUSH_SHARE * machine.source.file.touch.largest_n
-    collected = []
+    observed = []
     for row in range(_TRIAL_ROWS):
         link = row % len(machine.links.names)
         point_m = np.array([machine.links.touched_m[link].mean(), 0.0, 0.0])
         force = LinkForce(link, point_m, push_n * rng.normal(size=3))
         reading = machine.channels.read(observer.reading_under(command, force), rng)
         seen = observer.observe(reading, command, parameters.prior_mean, covariance, still)
-        collected.append(evidence_of(seen, machine.source.file.touch.largest_n))
-    return {name: np.concatenate([one[name] for one in collected]) for name in EVIDENCE}
+        observed.append(seen)
+    return evidence_of(observed, machine.source.file.touch.largest_n)
 
 
 def _require_agreement(

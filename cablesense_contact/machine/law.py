@@ -6,8 +6,8 @@ observations for M innovations, and n coordinates for 2N joint angles.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -37,6 +37,9 @@ EVIDENCE = (
 STATED = LawOutput._fields[: LawOutput._fields.index("fault_n") + 1]
 """Outputs of that graph."""
 
+_AGAIN = 2
+"""Times that an observation is made again, linear about the contact that it says."""
+
 _OF_FORCE = ("force_n", "magnitude_ci95_n", "moment_n_m", "moment_std_n_m", "fault_n")
 """Outputs that scale with force."""
 
@@ -47,13 +50,6 @@ class Stater(Protocol):
     def __call__(self, evidence: Mapping[str, Array]) -> Mapping[str, Any]:
         """`STATED` by `EVIDENCE`."""
         ...
-
-
-class _Linear(NamedTuple):
-    """An observation with its statement."""
-
-    observation: Observation
-    stated: Mapping[str, Array]
 
 
 class MachineLaw:
@@ -80,58 +76,65 @@ class MachineLaw:
         unrest_n2_m2: Array,
     ) -> LawOutput:
         """See `Law`; commands are (B, C), or measured positions (B, n)."""
-        rows = [
-            self._row(reading, command, mean, covariance, unrest_n2_m2)
+        observed = [
+            self.observer.observe(reading, command, mean, covariance, unrest_n2_m2)
             for reading, command in zip(reading_n, command_rad, strict=True)
         ]
-        return LawOutput._make(np.concatenate(column) for column in zip(*rows, strict=True))
-
-    def _row(
-        self, reading: Array, command: Array, mean: Array, covariance: Array, unrest: Array
-    ) -> LawOutput:
-        observation = self.observer.observe(reading, command, mean, covariance, unrest)
-        answer = _Linear(observation, self._stated(observation))
-        if self._gives_way(observation):
-            answer = self._about_the_contact(answer, command, mean, covariance, unrest)
-        seen, stated = answer
+        stated = self._stated(observed)
+        for _ in range(_AGAIN):
+            again = [
+                self._about_the_contact(
+                    row, seen, stated, command_rad[row], mean, covariance, unrest_n2_m2
+                )
+                for row, seen in enumerate(observed)
+            ]
+            if all(new is None for new in again):
+                break
+            observed = [new or seen for new, seen in zip(again, observed, strict=True)]
+            stated = self._stated(observed)
+        parts = Observation._make(np.stack(column) for column in zip(*observed, strict=True))
         return LawOutput(
             **stated,
-            innovation_n=seen.innovation[None],
-            information_n2=seen.information[None],
-            by_parameter=seen.by_parameter[None],
-            by_torque=seen.by_torque[None],
-            at_joint_m=seen.levers[None, :, :3],
-            by_place=seen.levers[None, :, 3:],
-            pose_rad=seen.pose[None],
+            innovation_n=parts.innovation,
+            information_n2=parts.information,
+            by_parameter=parts.by_parameter,
+            by_torque=parts.by_torque,
+            at_joint_m=parts.levers[:, :, :3],
+            by_place=parts.levers[:, :, 3:],
+            pose_rad=parts.pose,
         )
 
-    def _gives_way(self, seen: Observation) -> bool:
-        """Whether the pose under a contact is not determined by the readings alone."""
-        return not self.machine.is_measured and len(seen.innovation) < len(seen.pose)
-
     def _about_the_contact(
-        self, answer: _Linear, command: Array, mean: Array, covariance: Array, unrest: Array
-    ) -> _Linear:
-        """The observation linear about the machine at rest under the likeliest contact."""
-        for _ in range(2):
-            seen, stated = answer
-            link = int(stated["contact_evidence"][0].argmax())
-            if stated["contact_evidence"][0, link] <= 0.0:
-                return answer
-            point_m = np.array([float(stated["place_m"][0]), 0.0, 0.0])
-            contact = LinkForce(link, point_m, stated["force_n"][0])
-            try:
-                pose = self.observer.pose_under(contact, command, mean, seen.pose)
-            except MachineError:
-                # a contact that the machine would not bear is none to be linear about
-                return answer
-            again = self.observer.observe(seen.reading, command, mean, covariance, unrest, pose)
-            answer = _Linear(again, self._stated(again))
-        return answer
+        self,
+        row: int,
+        seen: Observation,
+        stated: Mapping[str, Array],
+        command: Array,
+        mean: Array,
+        covariance: Array,
+        unrest: Array,
+    ) -> Observation | None:
+        """The observation linear about the machine at rest under the likeliest contact.
 
-    def _stated(self, seen: Observation) -> dict[str, Array]:
+        None where the pose under a contact is determined by the readings alone, where there is no
+        contact, or none that the machine would bear.
+        """
+        link = int(stated["contact_evidence"][row].argmax())
+        is_determined = self.machine.is_measured or len(seen.innovation) >= len(seen.pose)
+        if is_determined or stated["contact_evidence"][row, link] <= 0.0:
+            return None
+        point_m = np.array([float(stated["place_m"][row]), 0.0, 0.0])
+        contact = LinkForce(link, point_m, stated["force_n"][row])
+        try:
+            pose = self.observer.pose_under(contact, command, mean, seen.pose)
+        except MachineError:
+            return None
+        return self.observer.observe(seen.reading, command, mean, covariance, unrest, pose)
+
+    def _stated(self, observed: Sequence[Observation]) -> dict[str, Array]:
+        """What the statement makes of observations; forces are scaled to those it is made for."""
         scale = self._per_newton
-        stated = dict(self._state(evidence_of(seen, self._largest_n)))
+        stated = dict(self._state(evidence_of(observed, self._largest_n)))
         for name in _OF_FORCE:
             stated[name] = stated[name] / scale
         units = np.array([1.0, scale, scale, scale])
@@ -139,25 +142,24 @@ class MachineLaw:
         return stated
 
 
-def evidence_of(seen: Observation, largest_n: float) -> dict[str, Array]:
-    """`EVIDENCE` of an observation, in a unit of force by which `largest_n` is `GRAPH_FORCE_N`."""
+def evidence_of(observed: Sequence[Observation], largest_n: float) -> dict[str, Array]:
+    """`EVIDENCE` of observations, in a unit of force by which `largest_n` is `GRAPH_FORCE_N`."""
     scale = GRAPH_FORCE_N / largest_n
+    seen = Observation._make(np.stack(column) for column in zip(*observed, strict=True))
+    innovation = seen.innovation[:, None]
+    pull = innovation @ seen.information
     informed_by_torque = seen.information @ seen.by_torque
     informed_by_channel = seen.information @ seen.by_channel
-    pull = seen.innovation @ seen.information
-    evidence = (
-        seen.reading * scale,
-        pull @ seen.by_channel / scale,
-        seen.by_channel.T @ informed_by_channel / scale**2,
-        seen.by_channel.T @ informed_by_torque / scale**2,
-        seen.by_torque.T @ informed_by_torque / scale**2,
-        seen.innovation @ informed_by_torque / scale,
-        np.array(pull @ seen.innovation),
-        seen.levers,
-        seen.torsion,
-    )
-    rows = {"reading_n", "channel_pull", "torque_pull"}
+    from_torque = seen.by_torque.transpose(0, 2, 1)
+    from_channel = seen.by_channel.transpose(0, 2, 1)
     return {
-        name: value[None, None] if name in rows else value[None]
-        for name, value in zip(EVIDENCE, evidence, strict=True)
+        "reading_n": seen.reading[:, None] * scale,
+        "channel_pull": pull @ seen.by_channel / scale,
+        "channel_information": from_channel @ informed_by_channel / scale**2,
+        "informed": from_channel @ informed_by_torque / scale**2,
+        "torque_precision": from_torque @ informed_by_torque / scale**2,
+        "torque_pull": innovation @ informed_by_torque / scale,
+        "untouched_chi2": (pull * innovation).sum((1, 2)),
+        "levers": seen.levers,
+        "by_torsion": seen.torsion,
     }

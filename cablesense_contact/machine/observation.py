@@ -28,7 +28,7 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.machine.sensitivity import Sensitivity, sensitivity
+from cablesense_contact.machine.sensitivity import ParameterSources
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
@@ -39,8 +39,11 @@ _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor shows a taut tendon."""
 _POSE_STEPS = 12
 """At most, of the search for the pose behind a reading."""
-_POSE_FOUND = 1e-9
-"""It ends where a step is shorter, rad or m."""
+_POSE_FOUND = 1e-6
+"""It ends where a step is shorter, rad or m: an observation is linear about the pose, and what is
+left is of second order."""
+_FAR = 1e-2
+"""Steps longer than this, rad or m, lead to a pose whose derivative is taken anew."""
 _LEAST_TORQUE_SHARE = 1e-3
 """Deviation of a coordinate's contact force that no touched link makes, over the largest."""
 _MOST_KEPT = 64
@@ -81,17 +84,37 @@ class _Known(NamedTuple):
         built: the machine with the mean parameters.
         unstretched_m: (K,) lengths of its tendons at the command.
         pose: (n,) of the untouched machine.
-        slope: (n, n) ∂F/∂r there.
-        sensitivity: by the parameters, there; None where the reading's own tensions matter.
+        load_slope: (n, n) derivative of forces there at its tensions.
+        sources: of the parameters, there.
+        rows: (S, P) derivatives of these sources, and of the M gains and M zeros of channels.
         frames: of the links at the command.
     """
 
     built: BuiltMachine
     unstretched_m: Array
     pose: Array
-    slope: Array
-    sensitivity: Sensitivity | None
+    load_slope: Array
+    sources: ParameterSources
+    rows: Array
     frames: LinkFrames
+
+
+class _Spread(NamedTuple):
+    """What a covariance of the parameters makes of the sources.
+
+    Attributes:
+        rows: (S, P) whose sources these are.
+        covariance: (P, P) of the parameters.
+        of_sources: (S, S).
+        channel_root: (M, M) a root L of the precision L L' of readings at a known pose.
+        force_root: (n, n) the same of forces at known tensions, with those of contacts.
+    """
+
+    rows: Array
+    covariance: Array
+    of_sources: Array
+    channel_root: Array
+    force_root: Array
 
 
 class Observer:
@@ -110,8 +133,9 @@ class Observer:
         self._taut_above = _TAUT_ABOVE_STD * np.sqrt(self._variance)
         self._kept: dict[bytes, _Known] = {}
         self._built: dict[bytes, BuiltMachine] = {}
+        self._last: _Spread | None = None
         self._friction_variance = _joint_friction_variance(machine)
-        self._torque_precision_root = self._prior_of_torques()
+        self._contact_covariance = self._prior_of_torques()
         self._equations = _known_equations(machine)
 
     def observe(
@@ -218,8 +242,7 @@ class Observer:
             unstretched_m = self._holding.unstretched_m(
                 machine.reference, statics, built.pretension_n, np.zeros_like(built.joint_zero)
             )
-            slope = np.zeros((len(pose), len(pose)))
-            tensions = statics.tensions_n(statics.at(pose).length_m, unstretched_m)
+            load_slope = np.zeros((len(pose), len(pose)))
         else:
             unstretched_m = self._holding.unstretched_m(
                 command, statics, built.pretension_n, built.joint_zero
@@ -228,13 +251,12 @@ class Observer:
             if machine.source.file.joints == "commanded":
                 start = command + built.joint_zero
             pose, tensions = statics.rest(unstretched_m, (), start)
-            slope = statics.slope(pose, unstretched_m, statics.residual(pose, unstretched_m))
-        by_parameters = None
-        if not machine.is_measured:
-            by_parameters = sensitivity(machine, self.parameters, built, command, pose, tensions)
+            load_slope = statics.load_slope(pose, tensions)
+        sources = ParameterSources(machine, self.parameters, built, command, pose)
+        rows = np.concatenate([sources.rows, self._channel_rows()])
         frame_pose = command if machine.source.file.joints == "commanded" else pose
         statics.at(frame_pose)
-        known = _Known(built, unstretched_m, pose, slope, by_parameters, statics.links())
+        known = _Known(built, unstretched_m, pose, load_slope, sources, rows, statics.links())
         if len(self._kept) >= _MOST_KEPT:
             self._kept.pop(next(iter(self._kept)))
         self._kept[key] = known
@@ -255,26 +277,24 @@ class Observer:
         statics = built.statics
         read = self.machine.channels.tendon
         tension = (reading - built.zero) / built.gain
-        pose = self._pose_of(known, tension) if near is None else near
+        pose = self._pose_of(known, tension, covariance) if near is None else near
         residual = statics.residual(pose, known.unstretched_m)
-        slope = statics.slope(pose, known.unstretched_m, residual)
+        slope = statics.slope(pose, known.unstretched_m)
         balance = statics.at(pose)
         frames = statics.links()
         tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
         stiffened = (statics.stiffness_n_m * (tensions_n > 0.0))[:, None] * balance.moment
         # D = ∂T/∂τ = -K J H⁻¹
         by_torque = -stiffened @ np.linalg.inv(slope)
-        assert known.sensitivity is not None
-        of_tensions, of_forces = known.sensitivity
-        by_parameter = of_tensions + by_torque @ (of_forces - balance.moment.T @ of_tensions)
+        entering = known.sources.entering(tensions_n, pose)
+        # δT = (1 - D J') A + D B, see the head of this file
+        of_tensions = (
+            entering.of_tensions - by_torque @ (balance.moment.T @ entering.of_tensions)
+        ) + by_torque @ entering.of_forces
+        of_sources = self._of_channels(of_tensions[read], built.gain, tensions_n[read])
         by_torque = built.gain[:, None] * by_torque[read]
-        by_parameter = built.gain[:, None] * by_parameter[read]
-        slices = self.parameters.slices
-        by_parameter[:, slices["sensor_gain"]] += np.diag(tensions_n[read])
-        by_parameter[:, slices["sensor_zero"]] += np.eye(len(read))
-        noise = np.diag(self._variance)
-        spread = by_parameter @ covariance @ by_parameter.T + noise
-        spread += by_torque @ moving @ by_torque.T
+        spread = of_sources @ self._spread(known, covariance).of_sources @ of_sources.T
+        spread += np.diag(self._variance) + by_torque @ moving @ by_torque.T
         expected = built.gain * tensions_n[read] + built.zero
         levers, torsion = _levers(frames, known.frames.axes)
         return Observation(
@@ -282,22 +302,26 @@ class Observer:
             innovation=reading - expected - by_torque @ residual,
             information=np.asarray(np.linalg.inv(spread)),
             by_torque=by_torque,
-            by_parameter=by_parameter,
+            by_parameter=of_sources @ known.rows,
             by_channel=np.eye(len(read)),
             levers=levers,
             torsion=torsion,
             pose=pose,
         )
 
-    def _pose_of(self, known: _Known, tension: Array) -> Array:
-        """(n,) the pose of the least sum of squares: of tensions, and of the contacts it needs."""
+    def _pose_of(self, known: _Known, tension: Array, covariance: Array) -> Array:
+        """(n,) the likeliest pose by tensions (M,), tolerances, and a wide prior of contacts.
+
+        Tolerances count as at a known pose: what they make of tensions there and of forces there.
+        """
         statics = known.built.statics
         unstretched_m = known.unstretched_m
         read = self.machine.channels.tendon
         taut = tension > self._taut_above
-        per_std = 1.0 / np.sqrt(self._variance)
-        root = self._torque_precision_root
-        slope = known.slope
+        spread = self._spread(known, covariance)
+        of_channels = spread.channel_root.T
+        of_forces = spread.force_root.T
+        load_slope = known.load_slope
         pose = known.pose
         last = np.inf
         for _ in range(_POSE_STEPS):
@@ -305,22 +329,64 @@ class Observer:
             elastic = statics.stiffness_n_m * (balance.length_m - unstretched_m)
             tensions_n = np.maximum(elastic, 0.0)
             modelled = np.where(taut, elastic[read], tensions_n[read])
-            off = (tension - modelled) * per_std
+            off = tension - modelled
             pulls = taut | (tensions_n[read] > 0.0)
             by_pose = (statics.stiffness_n_m[:, None] * balance.moment)[read]
             residual = balance.load - tensions_n @ balance.moment
-            matrix = np.concatenate([by_pose * (pulls * per_std)[:, None], root.T @ slope])
-            wanted = np.concatenate([off, -(root.T @ residual)])
+            slope = load_slope + statics.elastic_slope(balance.moment, tensions_n)
+            matrix = np.concatenate([of_channels @ (by_pose * pulls[:, None]), of_forces @ slope])
+            wanted = np.concatenate([of_channels @ off, -(of_forces @ residual)])
             step = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
             pose = pose + step
             length = float(np.abs(step).max())
             if length < _POSE_FOUND:
                 break
-            if length > 0.1 * last or length > 1e-2:
-                here = statics.residual(pose, unstretched_m)
-                slope = statics.slope(pose, unstretched_m, here)
+            if length > _FAR or length > 0.1 * last:
+                load_slope = statics.load_slope(pose, tensions_n)
             last = length
         return pose
+
+    def _channel_rows(self) -> Array:
+        """(2M, P) gains and zeros of channels by the parameters."""
+        slices = self.parameters.slices
+        is_force = self.parameters.is_force
+        channels = len(self._variance)
+        gains = np.zeros((channels, len(self.parameters)))
+        zeros = np.zeros((channels, len(self.parameters)))
+        gains[:, slices["sensor_gain"]] = np.eye(channels)
+        zeros[is_force, slices["sensor_zero"]] = np.eye(int(is_force.sum()))
+        zeros[~is_force, slices["torque_zero"]] = np.eye(int((~is_force).sum()))
+        return np.concatenate([gains, zeros])
+
+    def _of_channels(self, of_values: Array, gain: Array, values: Array) -> Array:
+        """(M, S) readings by all sources, by those of values (M,) and by gains and zeros."""
+        return np.concatenate(
+            [gain[:, None] * of_values, np.diag(values), np.eye(len(values))], axis=1
+        )
+
+    def _spread(self, known: _Known, covariance: Array) -> _Spread:
+        """What a covariance, which nobody changes in place, makes of the sources."""
+        last = self._last
+        if last is not None and last.rows is known.rows and last.covariance is covariance:
+            return last
+        of_sources = known.rows @ covariance @ known.rows.T
+        balance = known.built.statics.at(known.pose)
+        tensions_n = known.built.statics.tensions_n(balance.length_m, known.unstretched_m)
+        entering = known.sources.entering(tensions_n, known.pose)
+        read = self.machine.channels.tendon
+        gain = known.built.gain
+        in_channels = self._of_channels(entering.of_tensions[read], gain, tensions_n[read])
+        of_readings = in_channels @ of_sources @ in_channels.T + np.diag(self._variance)
+        body = len(known.sources.rows)
+        of_forces = entering.of_forces @ of_sources[:body, :body] @ entering.of_forces.T
+        self._last = _Spread(
+            known.rows,
+            covariance,
+            of_sources,
+            channel_root=np.linalg.cholesky(np.linalg.inv(of_readings / np.outer(gain, gain))),
+            force_root=np.linalg.cholesky(np.linalg.inv(of_forces + self._contact_covariance)),
+        )
+        return self._last
 
     def _of_pose(
         self, known: _Known, reading: Array, command: Array, covariance: Array, moving: Array
@@ -344,13 +410,14 @@ class Observer:
         # τ = J' T - F_0 - u
         innovation = tensions_n @ balance.moment - balance.load - driven
         slope = statics.load_slope(pose, tensions_n)
-        current = sensitivity(self.machine, self.parameters, built, command, pose, tensions_n)
-        by_parameter = current.of_forces.copy()
+        entering = known.sources.entering(tensions_n, pose)
+        # what is read does not follow from lengths, but springs' tensions do
+        of_tensions = entering.of_tensions
+        of_tensions[channels.tendon[is_tension]] = 0.0
+        of_values = entering.of_forces - balance.moment.T @ of_tensions
+        of_sources = np.concatenate([of_values, by_channel * value, by_channel], axis=1)
+        by_parameter = of_sources @ known.rows
         slices = self.parameters.slices
-        is_force = self.parameters.is_force
-        by_parameter[:, slices["sensor_gain"]] += by_channel * value
-        by_parameter[:, slices["sensor_zero"]] += by_channel[:, is_force]
-        by_parameter[:, slices["torque_zero"]] += by_channel[:, ~is_force]
         is_hinge = self.machine.coordinates.is_hinge
         by_parameter[:, slices["joint_zero"]] += slope[:, is_hinge]
         by_parameter[:, slices["slide_zero"]] += slope[:, ~is_hinge]
@@ -386,7 +453,7 @@ class Observer:
         return by_channel
 
     def _prior_of_torques(self) -> Array:
-        """(n, n) a root L of the precision L L' of contact forces on the coordinates."""
+        """(n, n) covariance of contact forces on the coordinates, as wide as any contact."""
         machine = self.machine
         statics = self._built_of(self.parameters.prior_mean).statics
         statics.at(machine.reference)
@@ -395,8 +462,7 @@ class Observer:
         unit = levers[:, :3] + middle_m * levers[:, 3:]
         covariance = np.einsum("nxi,nxj->ij", unit, unit) * machine.source.file.touch.largest_n**2
         floor = _LEAST_TORQUE_SHARE**2 * float(np.diagonal(covariance).max())
-        covariance += floor * np.eye(len(covariance))
-        return np.linalg.cholesky(np.linalg.inv(covariance))
+        return np.asarray(covariance + floor * np.eye(len(covariance)))
 
 
 def _levers(frames: LinkFrames, axes: Array | None) -> tuple[Array, Array]:

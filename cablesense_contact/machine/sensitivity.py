@@ -1,7 +1,18 @@
-"""How forces in a machine follow from its parameters, at a pose that is held fixed."""
+"""Where the parameters of a machine enter its forces, at a pose that is held fixed.
+
+At a pose r with tensions T, with k the stiffness of taut tendons and zero of slack ones,
+
+    δT = k δl + (T - T0) δln k + δT0 - T w δc,
+    δF = -Σ_k T_k δJ_k + δ(weights) + q_s δln k_s,
+
+where δl and δJ follow from displaced sites and joint zeros, w is the angle a tendon is wrapped by,
+c what friction carries, and q_s the forces of springs in joints. What does not depend on T and on
+the springs' own angles is taken once, near where the machine is: the sources.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -18,65 +29,121 @@ _MOVED_M = 1e-6
 
 
 class Sensitivity(NamedTuple):
-    """Derivatives by the P parameters at a fixed pose.
+    """Derivatives by S sources at a fixed pose.
 
     Attributes:
-        of_tensions: (K, P) of tendons that are held at their actuators.
-        of_forces: (n, P) of the generalised forces at tensions that stay as they are.
+        of_tensions: (K, S) of tendons that are held at their actuators.
+        of_forces: (n, S) of the generalised forces at tensions that stay as they are.
     """
 
     of_tensions: Array
     of_forces: Array
 
 
-def sensitivity(
-    machine: Machine,
-    parameters: MachineParameters,
-    built: BuiltMachine,
-    command: Array,
-    pose: Array,
-    tensions_n: Array,
-) -> Sensitivity:
-    """The derivatives of a built machine at a command (C,), a pose (n,) and tensions (K,)."""
-    slices = parameters.slices
-    count = len(pose)
-    taut = (tensions_n > 0.0).astype(float)
-    stiffness = built.statics.stiffness_n_m * taut
-    of_tensions = np.zeros((len(tensions_n), len(parameters)))
-    of_forces = np.zeros((count, len(parameters)))
-    balance = built.statics.at(pose)
+class ParameterSources:
+    """The S sources through which P parameters enter a machine with K tendons.
 
-    # T = k (l - held) + T0: the tension itself, but for what was set by hand
-    of_tensions[:, slices["tendon_stiffness"]] = np.diag(tensions_n - built.pretension_n * taut)
-    of_tensions[:, slices["pretension"]] = np.diag(taut)
-    if machine.source.file.joints == "commanded":
-        held = built.statics.at(command).moment
-        zeros = np.concatenate(
-            [np.arange(len(parameters))[slices[name]] for name in ("joint_zero", "slide_zero")]
-        )
-        is_hinge = machine.coordinates.is_hinge
-        order = np.concatenate([np.flatnonzero(is_hinge), np.flatnonzero(~is_hinge)])
-        of_tensions[:, zeros] = -(stiffness[:, None] * held)[:, order]
+    In this order: lengths, logarithms of stiffness, pretensions and carried friction of the K
+    tendons; their moments, n of each; the n weights; the logarithms of the springs' stiffness.
 
-    built.statics.at(pose)
-    by_mass, by_centre, by_gravity = built.statics.by_masses(parameters.bodies)
-    masses_kg = machine.model.body_mass[parameters.bodies]
-    of_forces[:, slices["mass"]] = (masses_kg[:, None] * by_mass).T
-    of_forces[:, slices["centre_of_mass"]] = by_centre.transpose(1, 0, 2).reshape(-1, count).T
-    gravity = machine.model.opt.gravity
-    tilts = np.cross(np.eye(3)[:2], gravity)
-    of_forces[:, slices["base_tilt"]] = (tilts @ by_gravity).T
-    of_forces[:, slices["joint_stiffness"]] = _by_springs(machine, parameters, pose)
-    if machine.source.file.cables.friction_coefficient > 0.0:
-        carried = _by_friction(machine, built, pose)
-        of_forces[:, slices["carried_friction"]] = -(tensions_n[:, None] * carried.moment).T
-        of_tensions[:, slices["carried_friction"]] = -np.diag(tensions_n * carried.wrap_rad)
+    Attributes:
+        rows: (S, P) derivatives of the sources by the parameters.
+    """
 
-    routed = _by_routing(machine, parameters, built, pose, balance)
-    routing = slices["routing"]
-    of_tensions[:, routing] = stiffness[:, None] * routed.length
-    of_forces[:, routing] = -np.einsum("k,kns->ns", tensions_n, routed.moment)
-    return Sensitivity(of_tensions, of_forces)
+    def __init__(
+        self,
+        machine: Machine,
+        parameters: MachineParameters,
+        built: BuiltMachine,
+        command: Array,
+        pose: Array,
+    ) -> None:
+        """Of a built machine at a command (C,), with its geometry at a pose (n,)."""
+        self._machine = machine
+        self._parameters = parameters
+        self._built = built
+        tendons = len(machine.tendons.ids)
+        count = len(pose)
+        sizes = [tendons] * 4 + [tendons * count, count, len(parameters.springs)]
+        self._parts = list(_successive(sizes))
+        lengths, stiffness, pretension, carried, moments, weights, springs = self._parts
+        slices = parameters.slices
+        self.rows = np.zeros((sum(sizes), len(parameters)))
+        balance = built.statics.at(pose)
+        moment = np.zeros((tendons, count, len(parameters)))
+
+        self.rows[stiffness, slices["tendon_stiffness"]] = np.eye(tendons)
+        self.rows[pretension, slices["pretension"]] = np.eye(tendons)
+        self.rows[springs, slices["joint_stiffness"]] = np.eye(len(parameters.springs))
+        if machine.source.file.joints == "commanded":
+            held = built.statics.at(command).moment
+            zeros = np.concatenate(
+                [np.arange(len(parameters))[slices[name]] for name in ("joint_zero", "slide_zero")]
+            )
+            is_hinge = machine.coordinates.is_hinge
+            order = np.concatenate([np.flatnonzero(is_hinge), np.flatnonzero(~is_hinge)])
+            self.rows[lengths, zeros] = -held[:, order]
+
+        built.statics.at(pose)
+        by_mass, by_centre, by_gravity = built.statics.by_masses(parameters.bodies)
+        masses_kg = machine.model.body_mass[parameters.bodies]
+        by_places = by_centre.transpose(1, 0, 2).reshape(-1, count)
+        tilts = np.cross(np.eye(3)[:2], machine.model.opt.gravity)
+        self.rows[weights, slices["mass"]] = (masses_kg[:, None] * by_mass).T
+        self.rows[weights, slices["centre_of_mass"]] = by_places.T
+        self.rows[weights, slices["base_tilt"]] = (tilts @ by_gravity).T
+
+        self._wrap_rad = np.zeros(tendons)
+        if machine.source.file.cables.friction_coefficient > 0.0:
+            friction = _by_friction(machine, built, pose)
+            self._wrap_rad = friction.wrap_rad
+            self.rows[carried, slices["carried_friction"]] = np.eye(tendons)
+            own = np.arange(len(parameters))[slices["carried_friction"]]
+            moment[np.arange(tendons), :, own] = friction.moment
+
+        routed = _by_routing(machine, parameters, built, pose, balance)
+        self.rows[lengths, slices["routing"]] = routed.length
+        moment[:, :, slices["routing"]] = routed.moment
+        self.rows[moments] = moment.reshape(tendons * count, len(parameters))
+
+    def entering(self, tensions_n: Array, pose: Array) -> Sensitivity:
+        """How the sources enter at tensions (K,) and a pose (n,)."""
+        lengths, stiffness, pretension, carried, moments, weights, springs = self._parts
+        built = self._built
+        tendons = len(tensions_n)
+        count = len(pose)
+        taut = (tensions_n > 0.0).astype(float)
+        of_tensions = np.zeros((tendons, len(self.rows)))
+        of_forces = np.zeros((count, len(self.rows)))
+        own = np.arange(tendons)
+        of_tensions[own, own + lengths.start] = built.statics.stiffness_n_m * taut
+        # T = k (l - held) + T0: the tension itself, but for what was set by hand
+        of_tensions[own, own + stiffness.start] = tensions_n - built.pretension_n * taut
+        of_tensions[own, own + pretension.start] = taut
+        of_tensions[own, own + carried.start] = -tensions_n * self._wrap_rad
+        of_forces[:, moments] = -np.kron(tensions_n, np.eye(count))
+        of_forces[:, weights] = np.eye(count)
+        of_forces[:, springs] = self._by_springs(pose)
+        return Sensitivity(of_tensions, of_forces)
+
+    def _by_springs(self, pose: Array) -> Array:
+        """(n, J) forces of the springs in joints."""
+        model = self._machine.model
+        springs = self._parameters.springs
+        coordinates = self._machine.coordinates
+        qpos = coordinates.positions(pose)
+        slope = coordinates.slope(qpos)
+        away = qpos[springs] - model.qpos_spring[springs]
+        force = -self._built.statics.model.jnt_stiffness[springs] * away
+        return np.asarray(force * slope[springs].T)
+
+
+def _successive(sizes: list[int]) -> Iterator[slice]:
+    """Slices of these sizes, one after the other."""
+    begin = 0
+    for size in sizes:
+        yield slice(begin, begin + size)
+        begin += size
 
 
 class _ByRouting(NamedTuple):
@@ -122,18 +189,8 @@ def _by_routing(
             length[tendon, way, sites] = longer[tendon] / _MOVED_M
             moment[tendon, :, way, sites] = turned[tendon] / _MOVED_M
         site_pos[ids] = nominal
-    return _ByRouting(length.reshape(tendons, -1), moment.reshape(tendons, count, -1))
-
-
-def _by_springs(machine: Machine, parameters: MachineParameters, pose: Array) -> Array:
-    """(n, J) forces of the springs in joints."""
-    model = machine.model
-    coordinates = machine.coordinates
-    qpos = coordinates.positions(pose)
-    slope = coordinates.slope(qpos)
-    springs = parameters.springs
-    force = -model.jnt_stiffness[springs] * (qpos[springs] - model.qpos_spring[springs])
-    return np.asarray(force * slope[springs].T)
+    flat = 2 * site_count
+    return _ByRouting(length.reshape(tendons, flat), moment.reshape(tendons, count, flat))
 
 
 class _Carried(NamedTuple):

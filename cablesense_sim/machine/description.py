@@ -265,9 +265,7 @@ def _model_content(path: Path) -> bytes:
         part = pending.pop(0)
         if part in read:
             continue
-        read[part] = read_bounded_bytes(
-            part, _MAX_MODEL_BYTES, "an MJCF or a URDF", MachineError
-        )
+        read[part] = read_bounded_bytes(part, _MAX_MODEL_BYTES, "an MJCF or a URDF", MachineError)
         pending += [path.parent / name.decode() for name in _TAKEN_IN.findall(read[part])]
     return b"".join(read.values())
 

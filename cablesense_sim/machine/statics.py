@@ -5,8 +5,9 @@ tensions T = max(0, k (l - L)). The machine is at rest where the residual force
 
     F(r) + Σ_c J_c(r)' f_c = 0,      F(r) = weight(r) + springs(r) - (∂l/∂r)' T(r)
 
-vanishes, f_c being forces that act on links. F is exact, by MuJoCo; its derivative is by
-differences of it, as only that covers paths around geoms, pulleys and joints that follow others.
+vanishes, f_c being forces that act on links. F is exact, by MuJoCo. Of its derivative the part of
+the tendons' stiffness, -J' K J with J = ∂l/∂r, is exact too; the rest, at constant tensions, is by
+differences, as only these cover paths around geoms, pulleys and joints that follow others.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _LONGEST = 0.5
 _LESS = 0.9
 """Share of the force along a step that may be left after it."""
 _QUICKLY = 0.02
-"""A derivative is used again if a step with it leaves less."""
+"""The derivative at constant tensions is used again if a step with it leaves less."""
 
 
 class Balance(NamedTuple):
@@ -83,6 +84,30 @@ class LinkForce:
     link: int
     point_m: Array
     force_n: Array
+
+
+class _Acting(NamedTuple):
+    """A force (3,) in base axes at a point (3,) that is fixed to a body, in the body's frame."""
+
+    body: int
+    point_m: Array
+    force_n: Array
+
+
+class _State(NamedTuple):
+    """A machine under forces at a pose (n,).
+
+    Attributes:
+        pose: (n,).
+        tensions_n: (K,).
+        moment: (K, n) ∂l/∂r.
+        residual: (n,) forces that nothing balances.
+    """
+
+    pose: Array
+    tensions_n: Array
+    moment: Array
+    residual: Array
 
 
 class MachineStatics:
@@ -144,27 +169,21 @@ class MachineStatics:
         tensions = self.tensions_n(balance.length_m, unstretched_m)
         return np.asarray(balance.load - tensions @ balance.moment)
 
-    def slope(self, pose: Array, unstretched_m: Array, residual: Array) -> Array:
-        """(n, n) ∂F/∂r at a pose (n,) with the residual (n,)."""
-        count = len(pose)
-        slope = np.empty((count, count))
-        for j in range(count):
-            moved = pose.copy()
-            moved[j] += _STEP
-            slope[:, j] = (self.residual(moved, unstretched_m) - residual) / _STEP
-        return slope
+    def slope(self, pose: Array, unstretched_m: Array) -> Array:
+        """(n, n) ∂F/∂r at a pose (n,): of weights, springs and paths, and -J' K J of tendons."""
+        balance = self.at(pose)
+        tensions_n = self.tensions_n(balance.length_m, unstretched_m)
+        elastic = self.elastic_slope(balance.moment, tensions_n)
+        return self.load_slope(pose, tensions_n) + elastic
+
+    def elastic_slope(self, moment: Array, tensions_n: Array) -> Array:
+        """(n, n) -J' K J of the tendons that are taut, with moments (K, n)."""
+        stiffness = self.stiffness_n_m * (tensions_n > 0.0)
+        return np.asarray((moment.T * -stiffness) @ moment)
 
     def load_slope(self, pose: Array, tensions_n: Array) -> Array:
         """(n, n) derivative by the pose of the forces at constant tensions (K,)."""
-        here = self.at(pose)
-        residual = here.load - tensions_n @ here.moment
-        slope = np.empty((len(pose), len(pose)))
-        for j in range(len(pose)):
-            moved = pose.copy()
-            moved[j] += _STEP
-            there = self.at(moved)
-            slope[:, j] = (there.load - tensions_n @ there.moment - residual) / _STEP
-        return slope
+        return self._slope_at(pose, tensions_n, ())
 
     def links(self) -> LinkFrames:
         """The links at the pose that was asked for last."""
@@ -227,39 +246,36 @@ class MachineStatics:
         """Where the machine comes to rest under forces, from a pose (n,) on, and tensions (K,).
 
         Newton's steps r - H⁻¹ F, shortened until the force along the step is less than it was:
-        rest is where the potential energy is least, and F is its steepest descent. A derivative is
-        used again as long as it leads on quickly.
+        rest is where the potential energy is least, and F is its steepest descent. The part of H
+        at constant tensions is used again as long as it leads on quickly.
 
         Raises:
             MachineError: it finds no rest: the forces are larger than it can bear, or nothing
                 holds one of its joints.
         """
-        pose = start.copy()
-        residual = self._unbalanced(pose, unstretched_m, forces)
-        inverse = self._compliance(pose, unstretched_m, forces, residual)
+        acting = [self._acting(force) for force in forces]
+        here = self._state(start.copy(), unstretched_m, acting)
+        constant = self._slope_at(here.pose, here.tensions_n, acting)
         is_fresh = True
         for _ in range(_MOST_STEPS):
-            step = inverse @ residual
+            step = self._compliance(here, constant) @ here.residual
             length = float(np.abs(step).max())
             if length < _REST:
-                return pose, self.tensions_n(self.at(pose).length_m, unstretched_m)
-            downhill = float(step @ residual)
+                return here.pose, here.tensions_n
+            downhill = float(step @ here.residual)
             share = min(1.0, _LONGEST / length)
-            tried = pose + share * step
-            remaining = self._unbalanced(tried, unstretched_m, forces)
-            while is_fresh and abs(float(step @ remaining)) > _LESS * downhill:
+            there = self._state(here.pose + share * step, unstretched_m, acting)
+            while is_fresh and abs(float(step @ there.residual)) > _LESS * downhill:
                 share *= 0.5
                 if share < _LEAST_SHARE:
                     raise self._no_rest()
-                tried = pose + share * step
-                remaining = self._unbalanced(tried, unstretched_m, forces)
-            left = abs(float(step @ remaining)) / downhill
+                there = self._state(here.pose + share * step, unstretched_m, acting)
+            left = abs(float(step @ there.residual)) / downhill
             if is_fresh or left < _LESS:
-                pose = tried
-                residual = remaining
+                here = there
             is_fresh = left > _QUICKLY
             if is_fresh:
-                inverse = self._compliance(pose, unstretched_m, forces, residual)
+                constant = self._slope_at(here.pose, here.tensions_n, acting)
         raise self._no_rest()
 
     def _no_rest(self) -> MachineError:
@@ -268,35 +284,59 @@ class MachineStatics:
             "bear, or nothing holds one of its joints"
         )
 
-    def _compliance(
-        self, pose: Array, unstretched_m: Array, forces: Sequence[LinkForce], residual: Array
-    ) -> Array:
+    def _compliance(self, here: _State, constant: Array) -> Array:
         """(n, n) -H⁻¹ at a pose: how the machine gives way; stiffened where it would give all."""
-        stiffness = np.empty((len(pose), len(pose)))
-        for j in range(len(pose)):
-            moved = pose.copy()
-            moved[j] += _STEP
-            stiffness[:, j] = (residual - self._unbalanced(moved, unstretched_m, forces)) / _STEP
+        stiffness = -self.elastic_slope(here.moment, here.tensions_n) - constant
         scale = float(np.abs(np.diagonal(stiffness)).max())
         if not scale > 0.0:
             raise self._no_rest()
         symmetric = 0.5 * (stiffness + stiffness.T)
+        identity = np.eye(len(here.pose))
         added = 0.0
         while True:
             try:
-                np.linalg.cholesky(symmetric + added * np.eye(len(pose)))
+                np.linalg.cholesky(symmetric + added * identity)
                 break
             except np.linalg.LinAlgError:
                 added = max(10.0 * added, 1e-6 * scale)
-        return np.asarray(np.linalg.inv(stiffness + added * np.eye(len(pose))))
+        return np.asarray(np.linalg.inv(stiffness + added * identity))
 
-    def _unbalanced(self, pose: Array, unstretched_m: Array, forces: Sequence[LinkForce]) -> Array:
-        residual = self.residual(pose, unstretched_m)
-        if forces:
-            frames = self.links()
-            for force in forces:
-                residual = residual + force_on(frames, force)
-        return residual
+    def _slope_at(self, pose: Array, tensions_n: Array, acting: Sequence[_Acting]) -> Array:
+        """(n, n) derivative of all forces by the pose (n,) at constant tensions (K,)."""
+        count = len(pose)
+        along = np.empty((count + 1, count))
+        for j in range(count + 1):
+            moved = pose.copy()
+            if j < count:
+                moved[j] += _STEP
+            balance = self.at(moved)
+            along[j] = balance.load - tensions_n @ balance.moment + self._contacts(acting)
+        return (along[:count] - along[count]).T / _STEP
+
+    def _state(self, pose: Array, unstretched_m: Array, acting: Sequence[_Acting]) -> _State:
+        balance = self.at(pose)
+        tensions_n = self.tensions_n(balance.length_m, unstretched_m)
+        residual = balance.load - tensions_n @ balance.moment + self._contacts(acting)
+        return _State(pose, tensions_n, balance.moment, residual)
+
+    def _acting(self, force: LinkForce) -> _Acting:
+        links = self._links
+        n = force.link
+        point_m = links.origin_m[n] + links.axes[n] @ force.point_m
+        return _Acting(int(links.bodies[n]), point_m, force.force_n)
+
+    def _contacts(self, acting: Sequence[_Acting]) -> Array | float:
+        """(n,) generalised forces of what acts on links, at the pose that was asked for last."""
+        if not acting:
+            return 0.0
+        data = self._data
+        at_point, _ = self._of_body
+        total = np.zeros(self.model.nv)
+        for force in acting:
+            place = data.xpos[force.body] + data.xmat[force.body].reshape(3, 3) @ force.point_m
+            mujoco.mj_jac(self.model, data, at_point, None, place, force.body)
+            total += force.force_n @ at_point
+        return self._reduced(total)
 
     def _reduced(self, generalised: Array) -> Array:
         """Forces (..., nv) on all joints as forces (..., n) of the coordinates."""
