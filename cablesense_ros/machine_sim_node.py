@@ -24,7 +24,7 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_online.models import frames_of
-from cablesense_online.simulated_machine import SimulatedMachine
+from cablesense_online.moving_machine import MovingMachine
 from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable
 from cablesense_ros.node_process import (
     declare_parameters,
@@ -46,7 +46,7 @@ class MachineSimNode(Node):
         frames = frames_of(felt, settings["frame_prefix"])
         self._rng = np.random.default_rng(settings["seed"]) if settings["noise"] else None
         self._rate_hz = settings["rate_hz"]
-        self._simulated = SimulatedMachine(
+        self._simulated = MovingMachine(
             machine, settings["joint_speed_rad_s"], settings["built_seed"]
         )
         self._last_s = time.monotonic()

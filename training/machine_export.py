@@ -17,6 +17,7 @@ from cablesense_contact.machine.law import EVIDENCE, STATED, evidence_of
 from cablesense_contact.machine.model_file import MachineMetadata
 from cablesense_contact.machine.observation import Observer
 from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import TRACED_ROWS, to_onnx
@@ -77,13 +78,16 @@ def _trial(machine: Machine) -> dict[str, Array]:
     count = len(machine.coordinates)
     still = np.zeros((count, count))
     command = observer.command_of(machine.reference)
+    nominal = SimulatedMachine(machine, parameters, 0.0 * parameters.prior_mean)
+    untouched = nominal.untouched(command)
     push_n = _PUSH_SHARE * machine.source.file.touch.largest_n
     observed = []
     for row in range(_TRIAL_ROWS):
         link = row % len(machine.links.names)
         point_m = np.array([machine.links.touched_m[link].mean(), 0.0, 0.0])
         force = LinkForce(link, point_m, push_n * rng.normal(size=3))
-        reading = machine.channels.read(observer.reading_under(command, force), rng)
+        touched = nominal.touched(command, [force], untouched)
+        reading = machine.channels.read(touched.values, rng)
         seen = observer.observe(reading, command, parameters.prior_mean, covariance, still)
         observed.append(seen)
     return evidence_of(observed, machine.source.file.touch.largest_n)

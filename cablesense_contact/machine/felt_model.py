@@ -14,6 +14,7 @@ from cablesense_contact.machine.observation import Observer
 from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts, ReferenceLoads
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
+from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
 
 _KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
@@ -107,20 +108,15 @@ class FeltModel:
         """
         machine = self.source
         command = self.first_command
-        rest, _ = self._observer.untouched(command, self.parameters.prior_mean * 0.0)
-        self._statics.at(rest)
-        axes = self._statics.links().axes
+        parameters = self.parameters
+        nominal = SimulatedMachine(machine, parameters, 0.0 * parameters.prior_mean)
+        untouched = nominal.untouched(command)
         direction = np.array([0.0, 0.0, 1.0])
         count = len(machine.links.names)
-        readings = [
-            self._observer.reading_under(
-                command,
-                LinkForce(
-                    n, np.array([self.middle_m[n], 0.0, 0.0]), FORCE_N * axes[n] @ direction
-                ),
-            )
-            for n in range(count)
-        ]
+        readings = []
+        for n in range(count):
+            contact = LinkForce(n, np.array([self.middle_m[n], 0.0, 0.0]), FORCE_N * direction)
+            readings.append(nominal.touched(command, [contact], untouched).values)
         loads = ReferenceLoads(
             reading=np.array(readings),
             command=np.tile(command, (count, 1)),

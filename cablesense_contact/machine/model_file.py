@@ -17,6 +17,7 @@ from cablesense_contact.inference.model_file import one_line, read_graph
 from cablesense_contact.inference.session import open_session
 from cablesense_contact.machine.law import EVIDENCE, STATED, MachineLaw
 from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.simulated import SimulatedMachine
 
 FORMAT = "cablesense-machine-model/1"
 """Name and version of the format; a reader refuses any other."""
@@ -118,7 +119,8 @@ def _require_answers(law: MachineLaw, source: str) -> None:
     """A file that opens may still not run; an idle machine shows it."""
     parameters = law.observer.parameters
     command = law.observer.command_of(law.machine.reference)
-    reading = law.observer.idle_reading(command)
+    nominal = SimulatedMachine(law.machine, parameters, 0.0 * parameters.prior_mean)
+    reading = nominal.untouched(command).values
     count = len(law.machine.coordinates)
     seen = law(
         reading[None],

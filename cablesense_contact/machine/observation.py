@@ -33,7 +33,7 @@ from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
-from cablesense_sim.machine.statics import LinkForce, LinkFrames, force_on
+from cablesense_sim.machine.statics import LinkForce, LinkFrames
 
 _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor shows a taut tendon."""
@@ -181,42 +181,6 @@ class Observer:
         balance = known.built.statics.at(known.pose)
         by_channel = self._by_channel(balance.moment)[self._equations]
         return np.asarray((by_channel * variance) @ by_channel.T)
-
-    def idle_reading(self, command: Array) -> Array:
-        """(M,) readings, without noise, of the machine as modelled that nothing touches."""
-        nothing = LinkForce(0, np.zeros(3), np.zeros(3))
-        return self.reading_under(command, nothing)
-
-    def reading_under(self, command: Array, force: LinkForce) -> Array:
-        """(M,) readings, without noise, of the machine as modelled under a force on a link.
-
-        A machine whose joints are measured is taken to hold its pose by what is read.
-
-        Raises:
-            MachineError: it does not bear the force.
-        """
-        known = self._known(command, 0.0 * self.parameters.prior_mean)
-        statics = known.built.statics
-        if not self.machine.is_measured:
-            _, tensions = statics.rest(known.unstretched_m, (force,), known.pose)
-            return np.asarray(tensions[self.machine.channels.tendon])
-        balance = statics.at(known.pose)
-        wanted = balance.load + force_on(statics.links(), force)
-        return self.balancing(balance.moment, wanted)
-
-    def balancing(self, moment: Array, wanted: Array) -> Array:
-        """(M,) of all readings that balance forces (n,) the smallest; joints are measured.
-
-        `moment` (K, n) are those of the tendons. Cables that would have to push read what they
-        have at least, their pretension.
-        """
-        by_channel = self._by_channel(moment)
-        base = np.zeros(by_channel.shape[1])
-        is_tension = self.machine.channels.tendon >= 0
-        tendons = self.machine.channels.tendon[is_tension]
-        base[is_tension] = self.machine.tendons.pretension_n[tendons]
-        change = np.linalg.lstsq(by_channel, wanted - by_channel @ base, rcond=None)[0]
-        return np.asarray(base + change)
 
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.

@@ -50,7 +50,7 @@ class SimulatedMachine:
         Raises:
             MachineError: it finds no rest.
         """
-        return self._with(command, (), None)
+        return self.under(command, (), None)
 
     def frames(self, command: Array, untouched: AtRest) -> LinkFrames:
         """The links, with the axes along which contacts are stated."""
@@ -66,9 +66,14 @@ class SimulatedMachine:
         """
         axes = self.frames(command, untouched).axes
         forces = [replace(one, force_n=axes[one.link] @ one.force_n) for one in contacts]
-        return self._with(command, forces, untouched.pose)
+        return self.under(command, forces, untouched.pose)
 
-    def _with(self, command: Array, forces: Sequence[LinkForce], near: Array | None) -> AtRest:
+    def under(self, command: Array, forces: Sequence[LinkForce], near: Array | None) -> AtRest:
+        """The machine under forces in base axes, searched for from a pose (n,) on.
+
+        Raises:
+            MachineError: it finds no rest.
+        """
         if self.machine.is_measured:
             return self._in_pose(command, forces)
         built = self.built
