@@ -28,12 +28,12 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.machine.sensitivity import ParameterSources
+from cablesense_contact.machine.sensitivity import ParameterSources, Sensitivity
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
-from cablesense_sim.machine.statics import LinkForce, LinkFrames
+from cablesense_sim.machine.statics import LinkForce, LinkFrames, MachineStatics
 
 _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor shows a taut tendon."""
@@ -106,8 +106,8 @@ class _Spread(NamedTuple):
         rows: (S, P) whose sources these are.
         covariance: (P, P) of the parameters.
         of_sources: (S, S).
-        channel_root: (M, M) a root L of the precision L L' of readings at a known pose.
-        force_root: (n, n) the same of forces at known tensions, with those of contacts.
+        channel_root: (M, M) a root L of the precision L L' of tensions of the untouched machine.
+        force_root: (n, n) the same of the forces of contacts.
     """
 
     rows: Array
@@ -247,14 +247,9 @@ class Observer:
         balance = statics.at(pose)
         frames = statics.links()
         tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
-        stiffened = (statics.stiffness_n_m * (tensions_n > 0.0))[:, None] * balance.moment
-        # D = ∂T/∂τ = -K J H⁻¹
-        by_torque = -stiffened @ np.linalg.inv(slope)
+        by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
         entering = known.sources.entering(tensions_n, pose)
-        # δT = (1 - D J') A + D B, see the head of this file
-        of_tensions = (
-            entering.of_tensions - by_torque @ (balance.moment.T @ entering.of_tensions)
-        ) + by_torque @ entering.of_forces
+        of_tensions = _at_rest(entering, by_torque, balance.moment)
         of_sources = self._of_channels(of_tensions[read], built.gain, tensions_n[read])
         by_torque = built.gain[:, None] * by_torque[read]
         spread = of_sources @ self._spread(known, covariance).of_sources @ of_sources.T
@@ -274,9 +269,9 @@ class Observer:
         )
 
     def _pose_of(self, known: _Known, tension: Array, covariance: Array) -> Array:
-        """(n,) the likeliest pose by tensions (M,), tolerances, and a wide prior of contacts.
+        """(n,) the pose in which the mean machine has tensions (M,), by the least contacts.
 
-        Tolerances count as at a known pose: what they make of tensions there and of forces there.
+        Its tensions need not agree better than those of the untouched machine are known.
         """
         statics = known.built.statics
         unstretched_m = known.unstretched_m
@@ -310,6 +305,13 @@ class Observer:
             last = length
         return pose
 
+    def _by_torque(
+        self, moment: Array, tensions_n: Array, slope: Array, statics: MachineStatics
+    ) -> Array:
+        """(K, n) D = ∂T/∂τ = -K J H⁻¹ with moments (K, n) and H the slope (n, n)."""
+        stiffened = (statics.stiffness_n_m * (tensions_n > 0.0))[:, None] * moment
+        return np.asarray(-stiffened @ np.linalg.inv(slope))
+
     def _channel_rows(self) -> Array:
         """(2M, P) gains and zeros of channels by the parameters."""
         slices = self.parameters.slices
@@ -334,21 +336,23 @@ class Observer:
         if last is not None and last.rows is known.rows and last.covariance is covariance:
             return last
         of_sources = known.rows @ covariance @ known.rows.T
-        balance = known.built.statics.at(known.pose)
-        tensions_n = known.built.statics.tensions_n(balance.length_m, known.unstretched_m)
-        entering = known.sources.entering(tensions_n, known.pose)
         read = self.machine.channels.tendon
         gain = known.built.gain
-        in_channels = self._of_channels(entering.of_tensions[read], gain, tensions_n[read])
+        statics = known.built.statics
+        balance = statics.at(known.pose)
+        tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+        slope = known.load_slope + statics.elastic_slope(balance.moment, tensions_n)
+        by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
+        entering = known.sources.entering(tensions_n, known.pose)
+        of_tensions = _at_rest(entering, by_torque, balance.moment)
+        in_channels = self._of_channels(of_tensions[read], gain, tensions_n[read])
         of_readings = in_channels @ of_sources @ in_channels.T + np.diag(self._variance)
-        body = len(known.sources.rows)
-        of_forces = entering.of_forces @ of_sources[:body, :body] @ entering.of_forces.T
         self._last = _Spread(
             known.rows,
             covariance,
             of_sources,
             channel_root=np.linalg.cholesky(np.linalg.inv(of_readings / np.outer(gain, gain))),
-            force_root=np.linalg.cholesky(np.linalg.inv(of_forces + self._contact_covariance)),
+            force_root=np.linalg.cholesky(np.linalg.inv(self._contact_covariance)),
         )
         return self._last
 
@@ -427,6 +431,12 @@ class Observer:
         covariance = np.einsum("nxi,nxj->ij", unit, unit) * machine.source.file.touch.largest_n**2
         floor = _LEAST_TORQUE_SHARE**2 * float(np.diagonal(covariance).max())
         return np.asarray(covariance + floor * np.eye(len(covariance)))
+
+
+def _at_rest(entering: Sensitivity, by_torque: Array, moment: Array) -> Array:
+    """(K, S) δT = (1 - D J') A + D B by the sources: see the head of this file."""
+    kept = entering.of_tensions - by_torque @ (moment.T @ entering.of_tensions)
+    return np.asarray(kept + by_torque @ entering.of_forces)
 
 
 def _levers(frames: LinkFrames, axes: Array | None) -> tuple[Array, Array]:
