@@ -2,7 +2,7 @@
 
 Short names for programs that estimate contacts from arrays:
 
-    from cablesense_contact import Calibrator, Judge, LawModel, Unloaded, find_model
+    from cablesense_contact import Calibrator, FeltArm, Judge, LawModel, Unloaded, find_model
 
     law = LawModel(find_model("cdsm_anywhere"), arm)
     calibrator = Calibrator(FeltArm(arm), law)

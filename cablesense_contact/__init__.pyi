@@ -10,6 +10,7 @@ from .errors import EstimateError as EstimateError
 from .errors import ModelFileError as ModelFileError
 from .estimate import ContactPlace as ContactPlace
 from .estimate import Estimate as Estimate
+from .felt_arm import FeltArm as FeltArm
 from .inference.estimator import Estimates as Estimates
 from .inference.estimator import Estimator as Estimator
 from .inference.estimator import MultiEstimator as MultiEstimator
