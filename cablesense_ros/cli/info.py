@@ -50,8 +50,8 @@ def info(
     file: Annotated[
         str,
         typer.Argument(
-            help="An arm file (.yaml), a model file (.onnx) or a calibration file: a path, or a "
-            "bundled arm's name."
+            help="An arm file or machine file (.yaml), a model file (.onnx) or a calibration file: "
+            "a path, or a bundled arm's name."
         ),
     ] = "cdsm",
     effects: Annotated[
@@ -127,6 +127,9 @@ def info(
         known = {name: _effect(effect) for name, effect in known_effects().items()}
         title = "Effects that an arm file can list"
         description = {"effects": known}
+    elif _is_machine(file):
+        refuse_given(context, ["blind", "picture", "bend_deg"], "of a machine file")
+        title, description = _machine(file, load_n, observability=observability)
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
@@ -147,6 +150,20 @@ def info(
         title = "Arm"
         description = _arm(file)
     print_result(title, description, json_output)
+
+
+def _is_machine(file: str) -> bool:
+    from cablesense_sim.machine.description import is_machine_file
+
+    return file.endswith((".yaml", ".yml")) and is_machine_file(file)
+
+
+def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description]:
+    from cablesense_ros.cli.machine_info import machine_description, machine_observability
+
+    if observability:
+        return "What one reading tells of a contact", machine_observability(file, load_n)
+    return "Machine", machine_description(file)
 
 
 def urdf(
