@@ -50,8 +50,8 @@ def info(
     file: Annotated[
         str,
         typer.Argument(
-            help="An arm file or machine file (.yaml), a model file (.onnx) or a calibration file: "
-            "a path, or a bundled arm's name."
+            help="An arm or machine file (.yaml), a model file (.onnx) or a calibration file: a "
+            "path, or a bundled arm's name."
         ),
     ] = "cdsm",
     effects: Annotated[
