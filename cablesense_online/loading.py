@@ -16,7 +16,7 @@ def load(arm: str, model: str) -> Loaded:
     Raises:
         CableSenseError: a file is missing or invalid, or the model was made for another machine.
     """
-    if arm.endswith((".yaml", ".yml")) and is_machine_file(arm):
+    if is_machine_file(arm):
         # the estimator of an arm needs no MuJoCo
         from cablesense_online.machine_models import load_machine
 

@@ -34,7 +34,7 @@ def export(
 
     started = time.perf_counter()
     command = command_line("export", {"arm": arm, "out": out})
-    if arm.endswith((".yaml", ".yml")) and is_machine_file(arm):
+    if is_machine_file(arm):
         content = _exported_machine(arm, out, command, force=force)
     else:
         content = _exported_arm(arm, out, command, force=force)

@@ -155,7 +155,7 @@ def info(
 def _is_machine(file: str) -> bool:
     from cablesense_sim.machine.description import is_machine_file
 
-    return file.endswith((".yaml", ".yml")) and is_machine_file(file)
+    return is_machine_file(file)
 
 
 def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description]:

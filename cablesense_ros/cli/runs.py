@@ -27,6 +27,7 @@ from cablesense_ros.demo import (
     run_headless,
     run_live,
 )
+from cablesense_sim.machine.description import is_machine_file
 
 
 def demo(
@@ -34,7 +35,7 @@ def demo(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="Arm file: the name of a bundled one, or a path.",
+            help="Arm file: the name of a bundled one, or a path; or a machine file.",
             show_default="cdsm_lab; with --breathe cdsm_friction",
         ),
     ] = None,
@@ -115,6 +116,8 @@ def demo(
     visits some poses by itself, untouched, to learn that. Ctrl-C ends all of it. With --headless
     it needs no browser: a script of pushes runs for a minute. A controller that gives way to
     pushes is examples/admittance.py.
+
+    Of a machine file every link is pushed in turn, headless.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     if as_file:
@@ -123,6 +126,14 @@ def demo(
         built_seed = AS_FILE if as_file or breathe else BUILT_SEED
     if arm is None:
         arm = "cdsm_friction" if breathe else DEMO_ARM
+    if is_machine_file(arm):
+        why = "of a machine file, whose demo is headless and takes no time of its own"
+        given = ["host", "port", "no_open", "duration", "source", "breathe", "no_commission"]
+        refuse_given(context, given, why)
+        from cablesense_ros.machine_demo import run_machine_demo
+
+        run_machine_demo(arm, model, out, seed, built_seed, as_json=json_output)
+        return
     options = DemoOptions(
         arm=arm,
         model=model,

@@ -271,7 +271,9 @@ def _model_content(path: Path) -> bytes:
 
 
 def is_machine_file(path: str | Path) -> bool:
-    """Whether a YAML file describes a machine by a model of MuJoCo, and not an arm."""
+    """Whether a file is YAML that describes a machine by a model of MuJoCo, and not an arm."""
+    if Path(path).suffix not in (".yaml", ".yml"):
+        return False
     try:
         text = read_bounded_text(Path(path), MAX_FILE_BYTES, "a machine file", MachineError)
     except MachineError:
