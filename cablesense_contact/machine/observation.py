@@ -36,7 +36,7 @@ from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.statics import LinkForce, LinkFrames, MachineStatics
 
 _TAUT_ABOVE_STD = 4.0
-"""A reading above this many deviations of the sensor shows a taut tendon."""
+"""A reading above this many deviations of the sensor's noise and zero shows a taut tendon."""
 _POSE_STEPS = 12
 """At most, of the search for the pose behind a reading."""
 _POSE_FOUND = 1e-6
@@ -106,6 +106,7 @@ class _Spread(NamedTuple):
         rows: (S, P) whose sources these are.
         covariance: (P, P) of the parameters.
         of_sources: (S, S).
+        taut_above_n: (M,) tensions that show a taut tendon.
         channel_root: (M, M) a root L of the precision L L' of tensions of the untouched machine.
         force_root: (n, n) the same of the forces of contacts.
     """
@@ -113,6 +114,7 @@ class _Spread(NamedTuple):
     rows: Array
     covariance: Array
     of_sources: Array
+    taut_above_n: Array
     channel_root: Array
     force_root: Array
 
@@ -130,7 +132,6 @@ class Observer:
         self.parameters = MachineParameters(machine)
         self._holding = Holding(machine)
         self._variance = machine.channels.variance
-        self._taut_above = _TAUT_ABOVE_STD * np.sqrt(self._variance)
         self._kept: dict[bytes, _Known] = {}
         self._built: dict[bytes, BuiltMachine] = {}
         self._last: _Spread | None = None
@@ -276,8 +277,8 @@ class Observer:
         statics = known.built.statics
         unstretched_m = known.unstretched_m
         read = self.machine.channels.tendon
-        taut = tension > self._taut_above
         spread = self._spread(known, covariance)
+        taut = tension > spread.taut_above_n
         of_channels = spread.channel_root.T
         of_forces = spread.force_root.T
         load_slope = known.load_slope
@@ -347,10 +348,12 @@ class Observer:
         of_tensions = _at_rest(entering, by_torque, balance.moment)
         in_channels = self._of_channels(of_tensions[read], gain, tensions_n[read])
         of_readings = in_channels @ of_sources @ in_channels.T + np.diag(self._variance)
+        zero_variance = np.diagonal(of_sources)[-len(read) :]
         self._last = _Spread(
             known.rows,
             covariance,
             of_sources,
+            taut_above_n=_TAUT_ABOVE_STD * np.sqrt(self._variance + zero_variance) / gain,
             channel_root=np.linalg.cholesky(np.linalg.inv(of_readings / np.outer(gain, gain))),
             force_root=np.linalg.cholesky(np.linalg.inv(self._contact_covariance)),
         )

@@ -68,6 +68,13 @@ class SimulatedMachine:
         forces = [replace(one, force_n=axes[one.link] @ one.force_n) for one in contacts]
         return self.under(command, forces, untouched.pose)
 
+    def unstretched_m(self, command: Array) -> Array:
+        """(K,) unstretched lengths of the tendons that actuators hold at a command (C,)."""
+        built = self.built
+        return self._holding.unstretched_m(
+            command, built.statics, built.pretension_n, built.joint_zero
+        )
+
     def under(self, command: Array, forces: Sequence[LinkForce], near: Array | None) -> AtRest:
         """The machine under forces in base axes, searched for from a pose (n,) on.
 
@@ -77,9 +84,7 @@ class SimulatedMachine:
         if self.machine.is_measured:
             return self._in_pose(command, forces)
         built = self.built
-        unstretched_m = self._holding.unstretched_m(
-            command, built.statics, built.pretension_n, built.joint_zero
-        )
+        unstretched_m = self.unstretched_m(command)
         start = self.machine.reference if near is None else near
         if near is None and self.machine.source.file.joints == "commanded":
             start = command + built.joint_zero
