@@ -30,6 +30,9 @@ _TRIAL_ROWS = 12
 """On which an exported statement is compared with the original."""
 _PUSH_SHARE = 0.05
 """Of these the forces, as a share of the largest that is expected."""
+_INTERVALS = ("place_ci95_m", "region_m", "magnitude_ci95_n")
+_INTERVAL_AGREEMENT = 1e-5
+"""Of their ends, whose distributions are in single precision (see `law.statement`)."""
 
 
 class _Traced(torch.nn.Module):
@@ -104,8 +107,9 @@ def _require_agreement(
             raise TrainingError(f"output {name} is not finite in ONNX Runtime")
         scale = max(1.0, float(np.abs(computed).max()))
         difference = float(np.abs(computed - expected.numpy()).max()) / scale
-        if not difference <= AGREEMENT:
+        allowed = _INTERVAL_AGREEMENT if name in _INTERVALS else AGREEMENT
+        if not difference <= allowed:
             raise TrainingError(
                 f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at "
-                f"most {AGREEMENT:g} is allowed"
+                f"most {allowed:g} is allowed"
             )
