@@ -46,6 +46,10 @@ _FAR = 1e-2
 """Steps longer than this, rad or m, lead to a pose whose derivative is taken anew."""
 _LEAST_TORQUE_SHARE = 1e-3
 """Deviation of a coordinate's contact force that no touched link makes, over the largest."""
+_CROSS = np.zeros((9, 3))
+"""(9, 3) of the matrices that take w to w x e, by e."""
+_CROSS[[1, 5, 6], [2, 0, 1]] = 1.0
+_CROSS[[2, 3, 7], [1, 2, 0]] = -1.0
 _MOST_KEPT = 64
 """Commands and parameters for which what does not depend on the reading is kept."""
 
@@ -243,11 +247,17 @@ class Observer:
         read = self.machine.channels.tendon
         tension = (reading - built.zero) / built.gain
         pose = self._pose_of(known, tension, covariance) if near is None else near
-        residual = statics.residual(pose, known.unstretched_m)
-        slope = statics.slope(pose, known.unstretched_m)
+        load_slope = known.load_slope
+        if len(read) < len(pose):
+            # where tensions do not determine the pose, how forces depend on it matters
+            balance = statics.at(pose)
+            tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+            load_slope = statics.load_slope(pose, tensions_n)
         balance = statics.at(pose)
         frames = statics.links()
         tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+        residual = balance.load - tensions_n @ balance.moment
+        slope = load_slope + statics.elastic_slope(balance.moment, tensions_n)
         by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
         entering = known.sources.entering(tensions_n, pose)
         of_tensions = _at_rest(entering, by_torque, balance.moment)
@@ -296,7 +306,7 @@ class Observer:
             slope = load_slope + statics.elastic_slope(balance.moment, tensions_n)
             matrix = np.concatenate([of_channels @ (by_pose * pulls[:, None]), of_forces @ slope])
             wanted = np.concatenate([of_channels @ off, -(of_forces @ residual)])
-            step = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+            step = np.linalg.solve(matrix.T @ matrix, matrix.T @ wanted)
             pose = pose + step
             length = float(np.abs(step).max())
             if length < _POSE_FOUND:
@@ -447,7 +457,7 @@ def _levers(frames: LinkFrames, axes: Array | None) -> tuple[Array, Array]:
     along = frames.axes if axes is None else axes
     # a force f at s e from the frame adds the moment s e x f: f · (w x e) for each joint axis w
     place = frames.axes[:, :, 0]
-    slope = np.cross(frames.by_moment, place[:, :, None], axis=1)
+    slope = (place @ _CROSS.T).reshape(-1, 3, 3) @ frames.by_moment
     turn = along.transpose(0, 2, 1)
     levers = np.concatenate([turn @ frames.by_force_m, turn @ slope], axis=1)
     torsion = place[:, None] @ frames.by_moment

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim.machine.description import MachineError
@@ -132,9 +133,13 @@ class MachineStatics:
         self._data = mujoco.MjData(self.model)
         self._coordinates = machine.coordinates
         self._tied = bool(machine.coordinates.ties)
+        self._slope = np.zeros((self.model.nv, len(machine.coordinates)))
         self._columns = machine.coordinates.joints
-        self._moment_cells = _moment_cells(self.model)
-        self._moments = np.zeros((self.model.ntendon, self.model.nv))
+        self._are_all_joints = np.array_equal(self._columns, np.arange(self.model.nv))
+        self._tendon_ids = machine.tendons.ids
+        self._moment_places = _moment_places(self.model)[machine.tendons.ids]
+        # the last one stays zero: what does not move a tendon
+        self._path_slopes = np.zeros(self._data.ten_J.size + 1)
         self._bias = np.zeros(self.model.nv)
         self._has_springs = bool(self.model.jnt_stiffness.any() or self.model.body_gravcomp.any())
         self._links = machine.links
@@ -145,6 +150,8 @@ class MachineStatics:
         data = self._data
         model = self.model
         data.qpos[:] = self._coordinates.positions(pose)
+        if self._tied:
+            self._slope = self._coordinates.slope(data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
@@ -153,11 +160,11 @@ class MachineStatics:
         if self._has_springs:
             mujoco.mj_passive(model, data)
             load += data.qfrc_passive
-        rows, places, columns = self._moment_cells
-        self._moments[rows, columns] = data.ten_J.reshape(-1)[places]
-        ids = self.machine.tendons.ids
-        moment = self._moments[ids]
-        return Balance(data.ten_length[ids], self._reduced(moment), self._reduced(load))
+        self._path_slopes[:-1] = data.ten_J.reshape(-1)
+        moment = self._path_slopes[self._moment_places]
+        return Balance(
+            data.ten_length[self._tendon_ids], self._reduced(moment), self._reduced(load)
+        )
 
     def tensions_n(self, lengths_m: Array, unstretched_m: Array) -> Array:
         """(K,) tensions at lengths (K,), of cables that pull and never push."""
@@ -341,8 +348,9 @@ class MachineStatics:
     def _reduced(self, generalised: Array) -> Array:
         """Forces (..., nv) on all joints as forces (..., n) of the coordinates."""
         if self._tied:
-            slope = self._coordinates.slope(self._data.qpos)
-            return np.asarray(generalised @ slope)
+            return np.asarray(generalised @ self._slope)
+        if self._are_all_joints:
+            return generalised
         return np.asarray(generalised[..., self._columns])
 
 
@@ -354,16 +362,12 @@ def force_on(frames: LinkFrames, force: LinkForce) -> Array:
     return np.asarray(force.force_n @ frames.by_force_m[n] + moment @ frames.by_moment[n])
 
 
-def _moment_cells(model: mujoco.MjModel) -> tuple[Indices, Indices, Indices]:
-    """Rows, places and columns of the sparse ∂l/∂q in a dense (ntendon, nv) matrix."""
-    rows: list[int] = []
-    places: list[int] = []
+def _moment_places(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """(ntendon, nv) where each ∂l/∂q stands among MuJoCo's sparse ones, and last what is zero."""
+    sparse = model.ten_J_colind.reshape(-1)
+    places = np.full((model.ntendon, model.nv), len(sparse), dtype=np.int64)
     for t in range(model.ntendon):
         first = int(model.ten_J_rowadr[t])
-        count = int(model.ten_J_rownnz[t])
-        rows += [t] * count
-        places += range(first, first + count)
-    columns = np.zeros(0, dtype=np.int64)
-    if places:
-        columns = model.ten_J_colind.reshape(-1)[places].astype(np.int64)
-    return np.array(rows, dtype=np.int64), np.array(places, dtype=np.int64), columns
+        own = np.arange(first, first + int(model.ten_J_rownnz[t]))
+        places[t, sparse[own]] = own
+    return places
