@@ -36,8 +36,8 @@ _LEAST_SHARE = 1e-6
 """Shortest part of a step that is tried before a search for rest ends."""
 _LONGEST = 0.5
 """Longest step, rad or m: a machine is another one there."""
-_LESS = 0.9
-"""Share of the force along a step that may be left after it."""
+_LESS = 0.1
+"""Share by which a whole step must lessen the force along it."""
 _QUICKLY = 0.02
 """The derivative at constant tensions is used again if a step with it leaves less."""
 
@@ -272,13 +272,16 @@ class MachineStatics:
             downhill = float(step @ here.residual)
             share = min(1.0, _LONGEST / length)
             there = self._state(here.pose + share * step, unstretched_m, acting)
-            while is_fresh and abs(float(step @ there.residual)) > _LESS * downhill:
+            # a shorter step need not lessen the force along it by as much
+            while (
+                is_fresh and abs(float(step @ there.residual)) > (1.0 - _LESS * share) * downhill
+            ):
                 share *= 0.5
                 if share < _LEAST_SHARE:
                     raise self._no_rest()
                 there = self._state(here.pose + share * step, unstretched_m, acting)
             left = abs(float(step @ there.residual)) / downhill
-            if is_fresh or left < _LESS:
+            if is_fresh or left < 1.0 - _LESS:
                 here = there
             is_fresh = left > _QUICKLY
             if is_fresh:
