@@ -52,9 +52,17 @@ class Trial:
 
 
 @pytest.mark.parametrize(
-    ("name", "links"), [("finger", (1, 2)), ("seven_hinges", (4, 5, 6)), ("six_axis", (2, 3))]
+    ("name", "links", "share_right"),
+    [
+        # a fingertip of 8 mm is a few deviations long
+        ("finger", (1, 2), 0.65),
+        ("seven_hinges", (4, 5, 6), 0.85),
+        ("six_axis", (2, 3), 0.85),
+    ],
 )
-def test_links_are_right_and_intervals_hold(name: str, links: tuple[int, ...]) -> None:
+def test_links_are_right_and_intervals_hold(
+    name: str, links: tuple[int, ...], share_right: float
+) -> None:
     machine = example_machine(name)
     trial = Trial(machine, seed=11)
     readings = []
@@ -77,7 +85,7 @@ def test_links_are_right_and_intervals_hold(name: str, links: tuple[int, ...]) -
     in_region = (seen.region_m[:, 0] <= along_m) & (along_m <= seen.region_m[:, 1])
     low_n, high_n = seen.magnitude_ci95_n[right].T
     in_force = (low_n <= lateral_n[right]) & (lateral_n[right] <= high_n)
-    assert right.mean() > 0.8
+    assert right.mean() > share_right
     # of 60 right with 95 % more than 52 hold, but for 1 in 1000
     assert in_region.mean() > 52.0 / 60.0
     assert in_force.mean() > 0.86
