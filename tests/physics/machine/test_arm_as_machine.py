@@ -1,4 +1,5 @@
-"""An arm by its arm file, and by the MJCF that CableSense writes of it, gives the same estimates."""
+"""An arm by its arm file, and by the MJCF that CableSense writes of it, gives the same "
+"estimates."""
 
 from pathlib import Path
 
