@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.stats import chi2
 
 from cablesense_base import Array
+from cablesense_contact.chi_squared import limit_at
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.law import LawOutput
 from cablesense_sim.arm import Arm
@@ -94,8 +94,8 @@ class Judge:
         self._friction = arm.touch.friction
         self._log_odds = math.log(contact_threshold / max(1.0 - contact_threshold, 1e-12))
         channels = arm.cable_count
-        self._free_limit = float(chi2.isf(IMPROBABLE, channels))
-        self._contact_limit = float(chi2.isf(IMPROBABLE, channels - _CONTACT_NUMBERS))
+        self._free_limit = limit_at(IMPROBABLE, channels)
+        self._contact_limit = limit_at(IMPROBABLE, channels - _CONTACT_NUMBERS)
 
     def __call__(self, seen: LawOutput, reading_n: Array) -> Judgement:
         """The judgement of one reading (M,); `seen` is a batch of one."""
