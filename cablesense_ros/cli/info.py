@@ -163,7 +163,7 @@ def urdf(
 
     Example: cablesense urdf my_arm.yaml --out my_arm.urdf
     """
-    from cablesense_sim.model import urdf_xml
+    from cablesense_sim.urdf import urdf_xml
 
     file = find_arm(arm)
     if out is not None:
