@@ -16,7 +16,6 @@ FAST := --numprocesses auto --ignore=tests/system/ros --hypothesis-profile=fast 
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 # uv takes a fifth of pip's time. Only pip knows the index and the build of torch that its configuration names.
 UV := $(BIN)/uv pip
-DEMO := ros,can,page
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
@@ -94,13 +93,13 @@ clean:  ## takes away .venv and what was built
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the demo needs (up to a minute, once) …'
-	@$(INSTALL) uv && $(UV) install --quiet --python $(BIN)/python --constraint constraints.txt --editable '.[$(DEMO)]' || \
-	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO)]'
+	@$(INSTALL) uv && $(UV) install --quiet --python $(BIN)/python --constraint constraints.txt --editable '.[demo]' || \
+	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo]'
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.demo
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO),train,gap,dev,docs]'
+	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo,train,gap,dev,docs]'
 	@touch $@
 
 $(BIN)/python:

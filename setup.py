@@ -10,39 +10,51 @@ from setuptools import find_packages, setup
 
 NAME = "cablesense_ros"
 
+# What an estimator needs, beside the messages of ROS. Whatever a robot's computer does without
+# stands in an extra, as an extra can only add.
 REQUIRES = [
     "lazy-loader",  # public names of a package, imported when first used
-    "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
-    "numba",  # arms with friction go from rest to rest, row by row, in compiled code
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnx",  # checks a model file before it is run
     "onnxruntime",  # runs the trained model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
     "rich",  # tables and progress bars in the terminal
-    "scipy",  # least squares, rotations, statistics
     "typer",  # the `cablesense` command
 ]
 
+ROBOT = [
+    "cantools",  # decodes and encodes frames by a DBC file
+    "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
+]
+SIM = [
+    "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
+    "numba",  # equilibria of arms, and arms with friction row by row, in compiled code
+    "scipy",  # least squares, rotations, statistics
+]
+PAGE = [
+    *SIM,
+    "jinja2",  # the figures on the page
+    "matplotlib",  # the picture of a headless demo, pictures of an evaluation
+    "msgspec",  # reads what a browser sends, before viser does
+    "viser",  # the 3D page in the browser
+    "websockets",  # viser's server, whose requests are checked
+]
+# ROS 2 Jazzy without a ROS installation; a machine with Jazzy from apt needs none of these
+ROS = [
+    "ros-jazzy-common-interfaces",  # the standard messages of the contract
+    "ros-jazzy-rclpy",  # rclpy and the message runtime
+    "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
+]
+
 EXTRAS = {
-    # ROS 2 Jazzy without a ROS installation; a machine with Jazzy from apt needs none of these
-    "ros": [
-        "ros-jazzy-common-interfaces",  # the standard messages of the contract
-        "ros-jazzy-rclpy",  # rclpy and the message runtime
-        "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
-    ],
-    "can": [
-        "cantools",  # decodes and encodes frames by a DBC file
-        "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
-    ],
-    "page": [
-        "jinja2",  # the figures on the page
-        "matplotlib",  # the picture of a headless demo, pictures of an evaluation
-        "msgspec",  # reads what a browser sends, before viser does
-        "viser",  # the 3D page in the browser
-        "websockets",  # viser's server, whose requests are checked
-    ],
+    "robot": ROBOT,  # a robot's computer with ROS: the estimator, the CAN driver, the commissioner
+    "sim": SIM,  # the simulated arm, the breather, and estimates by the paper's networks
+    "page": PAGE,
+    "ros": ROS,
+    "demo": [*ROBOT, *PAGE, *ROS],  # `cablesense demo` on a computer without ROS
     "gap": [
+        *SIM,
         "jinja2",  # the report's page
         "lz4",  # unpacks chunks to a bound, where mcap, which brings it, has none
         "matplotlib",  # the report's pictures
@@ -52,6 +64,7 @@ EXTRAS = {
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
     "train": [
+        *SIM,
         "distributed",  # datasets, and series of recordings, on a Dask cluster
         "onnxscript",  # torch exports through it
         "pillow",  # the animation of an example in few colours

@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import missing_package_line
 from cablesense_ros.cli.calibrate import calibrate
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.export import export
@@ -86,8 +87,7 @@ def _run(command: typer.Typer) -> tuple[str, int]:
     except CableSenseError as error:
         return str(error), getattr(error, "exit_code", 2)
     except ModuleNotFoundError as error:
-        remedy = "in a checkout run `make setup`, or pip install '.[train,gap]'"
-        return f"this needs the Python package {error.name}, which is not installed; {remedy}", 2
+        return missing_package_line(error), 2
     except OSError as error:
         return str(error), 2
     except SystemExit as end:

@@ -76,7 +76,7 @@ def test_every_requirement_of_the_nodes_has_a_rosdep_key_or_is_named_for_pip(
     for requirement in direct:
         wanted = [requirement.marker is None] + [
             requirement.marker is not None and requirement.marker.evaluate({"extra": extra})
-            for extra in ("can", "page", "gap")
+            for extra in ("robot", "page", "gap")
         ]
         name = canonicalize_name(requirement.name)
         assert not any(wanted) or {name, names.get(name, name)} & (by_rosdep | by_pip), name

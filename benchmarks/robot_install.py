@@ -1,0 +1,170 @@
+"""What a robot's computer gets: size of the extra `robot`, time to the first wrench, memory.
+
+    python benchmarks/robot_install.py [--starts 3] [--write]
+
+A wheel of this checkout is installed with its extra `robot` into a fresh environment; the wheels
+of ROS, which a robot has from elsewhere, lie in a folder beside it and are not counted, nor is
+pip. The estimator then starts from that environment, while readings of the untouched arm are
+published. The first wrench is the first answer to a reading that states a force; the time counts
+from the start of the process. At the first start Python also compiles the modules that it imports.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from importlib.metadata import requires
+from pathlib import Path
+from subprocess import run
+
+import harness
+from geometry_msgs.msg import WrenchStamped
+from live_run import LiveRun, SpunNode
+from packaging.requirements import Requirement
+from sensor_msgs.msg import JointState
+
+from cablesense_msgs_py.qos import PUBLISHER, Qos
+from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.processes import node_command
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
+
+CHECKOUT = Path(__file__).parents[1]
+PIP = [sys.executable, "-m", "pip"]
+CONSTRAINTS = ["--constraint", str(CHECKOUT / "constraints.txt")]
+ARM = "cdsm_lab"
+PERIOD_S = 0.002
+SETTLED_S = 10.0
+"""How long after the first wrench the memory is read."""
+TOOLS = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
+"""What `venv` puts into every environment."""
+SIZE_BAR_MB = 250.0
+FIRST_WRENCH_BAR_S = 4.0
+MEMORY_BAR_MB = 200.0
+
+
+def size_mb(folder: Path, without: Sequence[str] = ()) -> float:
+    """Size of all files in a folder, MB (10^6 bytes), without some of its entries."""
+    counted = [entry for entry in folder.iterdir() if entry.name.split("-")[0] not in without]
+    files = [file for entry in counted for file in (entry, *entry.rglob("*"))]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
+
+
+def environment(folder: Path, wanted: Sequence[str]) -> Path:
+    """Make a fresh environment with requirements in it; its folder of packages."""
+    run([sys.executable, "-m", "venv", str(folder)], check=True)
+    into = ["--python", str(folder / "bin/python"), "install", "-qq", *CONSTRAINTS]
+    run([*PIP, *into, *wanted], check=True)
+    (packages,) = folder.glob("lib/*/site-packages")
+    return packages
+
+
+def install(folder: Path) -> Path:
+    """Install wheel and extra into a fresh environment, ROS into one beside it; its packages."""
+    build = ["wheel", "-qq", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder)]
+    run([*PIP, *build, str(CHECKOUT)], check=True)
+    (wheel,) = folder.glob("*.whl")
+    packages = environment(folder / "robot", [f"{wheel}[robot]"])
+    all_wanted = [Requirement(line) for line in requires("cablesense_ros") or []]
+    of_ros = [one for one in all_wanted if one.marker and one.marker.evaluate({"extra": "ros"})]
+    names = [str(one).partition(";")[0].strip() for one in of_ros]
+    ros = environment(folder / "ros", names)
+    (packages / "ros.pth").write_text(f"{ros}\n", encoding="utf-8")
+    return packages
+
+
+class Source(SpunNode):
+    """Publishes readings of the untouched arm, and notes the answers that state a force."""
+
+    def __init__(self) -> None:
+        super().__init__("source")
+        arm = open_arm(ARM)
+        at_rest_rad = [0.0] * arm.joint_count
+        self._tensions_n = solve_equilibrium(mechanism_of(arm), at_rest_rad).tensions_n.tolist()
+        self._names = list(arm.cable_names)
+        qos = qos_profile(PUBLISHER)
+        self._readings = self.create_publisher(JointState, "cable_tensions", qos)
+        every = qos_profile(Qos(depth=1000, reliable=True))
+        self.create_subscription(WrenchStamped, "estimator/wrench", self._note, every)
+        self._sent_ns: set[int] = set()
+        self.first_s = math.inf
+
+    def publish(self) -> None:
+        """Publish one reading."""
+        message = JointState(name=self._names, effort=self._tensions_n)
+        stamp = self.get_clock().now()
+        message.header.stamp = stamp.to_msg()
+        self._sent_ns.add(stamp.nanoseconds)
+        self._readings.publish(message)
+
+    def _note(self, wrench: WrenchStamped) -> None:
+        stamp = wrench.header.stamp
+        answers = stamp.sec * 1_000_000_000 + stamp.nanosec in self._sent_ns
+        if answers and math.isfinite(wrench.wrench.force.x):
+            self.first_s = min(self.first_s, time.monotonic())
+
+
+def start(python: Path) -> tuple[float, float]:
+    """Start the estimator once: seconds to the first wrench, and MB when settled."""
+    with LiveRun() as live:
+        source = Source()
+        # -P: modules are those that are installed, not those of this folder
+        command = node_command("estimator", {"arm": ARM, "auto_tare": True})
+        estimator = live.start("estimator", [str(python), "-P", *command[1:]])
+
+        def answered() -> bool:
+            live.check()
+            source.publish()
+            source.spin(PERIOD_S)
+            return math.isfinite(source.first_s)
+
+        source.spin_until(answered, "the first wrench")
+        settled_s = time.monotonic() + SETTLED_S
+        while time.monotonic() < settled_s:
+            source.publish()
+            source.spin(PERIOD_S)
+        memory_mb = harness.rss_mb(estimator.pid)
+        source.destroy_node()
+        return source.first_s - estimator.started_s, memory_mb
+
+
+def main(given: argparse.Namespace) -> int:
+    """Install, start, print; write with `--write`."""
+    os.environ.pop("PYTHONPATH", None)  # the fresh environment is to see itself alone
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        packages = install(folder)
+        python = folder / "robot/bin/python"
+        data = folder / "robot/share"
+        installed_mb = size_mb(packages, TOOLS) + size_mb(data)
+        starts = [start(python) for _ in range(given.starts)]
+        compiled_mb = size_mb(packages, TOOLS) + size_mb(data)
+    first_wrench_s = [round(taken_s, 2) for taken_s, _ in starts]
+    memory_mb = [round(taken_mb, 1) for _, taken_mb in starts]
+    found = {
+        "arm": ARM,
+        "installed_mb": round(installed_mb, 1),
+        "with_compiled_modules_mb": round(compiled_mb, 1),
+        "first_wrench_s": first_wrench_s,
+        "memory_mb": memory_mb,
+        "bars": {
+            f"at most {SIZE_BAR_MB:g} MB beside ROS": compiled_mb <= SIZE_BAR_MB,
+            f"first wrench within {FIRST_WRENCH_BAR_S:g} s": (
+                max(first_wrench_s) <= FIRST_WRENCH_BAR_S
+            ),
+            f"at most {MEMORY_BAR_MB:g} MB of memory": max(memory_mb) <= MEMORY_BAR_MB,
+        },
+    }
+    return harness.publish("robot_install.json", found, given, "numpy", "onnxruntime")
+
+
+if __name__ == "__main__":
+    parser = harness.parser(__doc__, "results/robot_install.json")
+    parser.add_argument("--starts", type=int, default=3, help="of the estimator")
+    sys.exit(main(parser.parse_args()))
