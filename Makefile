@@ -22,7 +22,7 @@ HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --cust
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site models messages lock verify clean
+.PHONY: help demo test test-fast lint setup site models messages lock verify man dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -88,8 +88,17 @@ verify: | $(BIN)/python  ## installs constraints.txt apart, refusing every file 
 	@rm -r build/verify
 	@echo 'Every file has a hash of constraints.hashes.txt.'
 
+man: $(VENV)/.demo  ## the manual page of `cablesense`, from its help texts, in man/
+	@mkdir -p man build
+	@$(BIN)/python .ci/man > build/cablesense.1
+	@mv build/cablesense.1 man/cablesense.1
+
+dist: setup man  ## wheels and source distributions of a release, in dist/
+	@rm -rf dist && mkdir dist
+	@$(BIN)/python .ci/release dist
+
 clean:  ## takes away .venv and what was built
-	@rm -rf $(VENV) build install log *.egg-info
+	@rm -rf $(VENV) build dist man install log *.egg-info
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the demo needs (up to a minute, once) …'

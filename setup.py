@@ -4,6 +4,7 @@
 bounds that are known to matter.
 """
 
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -120,11 +121,21 @@ def packages() -> list[str]:
     return listed
 
 
+def long_description() -> str:
+    """The README without what is not in a distribution: pictures, and links to other files."""
+    text = Path("README.md").read_text(encoding="utf-8")
+    text = re.sub(r"^!\[.*?\]\(.*?\)\n+", "", text, flags=re.MULTILINE)
+    return re.sub(r"\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+
+
 def data_files() -> list[tuple[str, list[str]]]:
     """List what goes to `share/`, as pairs of a folder and its files."""
     share = Path("share", NAME)
     placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
     placed[share] = ["package.xml"]
+    manual = Path("man/cablesense.1")  # `make man` writes it
+    if manual.is_file():
+        placed[Path("share/man/man1")] = [str(manual)]
     sources = (("config", "config"), ("cablesense_ros/launch", "launch"))
     for source, target in sources:
         for file in sorted(Path(source).rglob("*")):
@@ -138,6 +149,17 @@ setup(
     name=NAME,
     version="0.1.0",
     description="From cable tensions: where a cable-driven arm is touched, and how hard",
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
+    keywords="cable-driven continuum robot force estimation contact MuJoCo ROS",
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Topic :: Scientific/Engineering",
+    ],
     license="Apache-2.0",
     license_files=["LICENSE", "NOTICE"],
     author="CableSense developers",

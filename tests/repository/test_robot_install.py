@@ -24,7 +24,9 @@ import cablesense_ros.estimator_node
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.settings import EstimationSettings
+from cablesense_online.statuses import ForceKnown
 from cablesense_ros.node_process import parameter_table
+from cablesense_sim.compiled import leave_interpreted
 
 given = {parameter.name: parameter.default for parameter in parameter_table("estimator")}
 degrees = {name: value for name, value in given.items() if "_deg" in name}
@@ -36,6 +38,9 @@ message = JointState(name=list(loaded.arm.cable_names), effort=[100.0] * loaded.
 message.header.stamp.sec = 1
 answer = estimation.sample(bytes(serialize_message(message)), 1_000_000_000, 1.0)
 assert answer.stamp_ns == 1_000_000_000, answer
+leave_interpreted()
+known = estimation.state.unloaded.calibration
+assert ForceKnown(loaded.arm, loaded.model).half_interval_n(known) > 0.0
 """
 CONDITION = "$CABLESENSE_ROBOT != 1"
 
