@@ -149,6 +149,7 @@ def main(given: argparse.Namespace) -> int:
     first_wrench_s = [round(taken_s, 2) for taken_s, _ in starts]
     memory_mb = [round(taken_mb, 1) for _, taken_mb in starts]
     found = {
+        "load": round(os.getloadavg()[0], 2),
         "arm": ARM,
         "installed_mb": round(installed_mb, 1),
         "distributions": distributions,
