@@ -20,10 +20,13 @@ from cablesense_base.installation import config_path
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
+    VerboseOption,
     print_json,
     print_result,
+    print_summary,
     refuse_given,
 )
+from cablesense_ros.cli.summaries import arm_lines, effect_lines, model_lines
 from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_bound import contact_information
@@ -95,6 +98,7 @@ def info(
     template: Annotated[
         bool, typer.Option("--template", help="Print an arm file to start from instead.")
     ] = False,
+    verbose: VerboseOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
@@ -116,16 +120,18 @@ def info(
     if not observability:
         refuse_given(context, ["picture", "force"], "without --observability")
     if template:
-        others = ["file", "effects", "blind", "observability", "json_output"]
+        others = ["file", "effects", "blind", "observability", "verbose", "json_output"]
         refuse_given(context, others, "with --template")
         print(config_path("arm_template.yaml").read_text(encoding="utf-8"), end="")
         return
+    lines: list[str] = []
     if effects:
         why = "with --effects, which are the same for every arm"
         refuse_given(context, ["file", "blind", "observability"], why)
         known = {name: _effect(effect) for name, effect in known_effects().items()}
         title = "Effects that an arm file can list"
         description = {"effects": known}
+        lines = effect_lines(description)
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
@@ -139,13 +145,19 @@ def info(
     elif file.endswith(".onnx"):
         title = "Model"
         description = _model(file)
+        lines = model_lines(description)
     elif (content := _calibration_content(file)) is not None:
         _show_calibration(content, file, json_output)
         return
     else:
         title = "Arm"
         description = _arm(file)
-    print_result(title, description, json_output)
+        lines = arm_lines(description)
+    if lines:
+        print_summary(title, lines, description, as_json=json_output, verbose=verbose)
+    else:
+        refuse_given(context, ["verbose"], "here, where a table is all that there is")
+        print_result(title, description, json_output)
 
 
 def urdf(
