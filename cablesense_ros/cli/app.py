@@ -17,6 +17,7 @@ import typer
 from cablesense_base import CableSenseError
 from cablesense_base.installation import missing_package_line
 from cablesense_ros.cli.calibrate import calibrate
+from cablesense_ros.cli.estimate import estimate
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
@@ -35,7 +36,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, export, dataset, train, evaluate, info, urdf, calibrate, record, replay):
+_VERBS = (
+    *(demo, export, estimate, info, urdf, calibrate, record, replay),
+    *(dataset, train, evaluate),
+)
+for verb in _VERBS:
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

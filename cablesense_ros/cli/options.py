@@ -43,6 +43,16 @@ TopicsOption = Annotated[
         show_default="the one that fits",
     ),
 ]
+ColumnsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--columns",
+        metavar="MAP",
+        help="A .yaml file that says what columns of other names and units mean, or which topics "
+        "of a bag.",
+        show_default="the names of docs/recordings.md",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 VerboseOption = Annotated[
     bool, typer.Option("--verbose", help="Print all figures, as tables, after the summary.")
