@@ -31,7 +31,7 @@ ROBOT = [
 SIM = [
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
     "numba",  # equilibria of arms, and arms with friction row by row, in compiled code
-    "scipy",  # least squares, rotations, statistics
+    "scipy",  # Numba's linear algebra; least squares and statistics elsewhere
 ]
 PAGE = [
     *SIM,
@@ -176,13 +176,13 @@ setup(
     entry_points={
         "console_scripts": [
             "cablesense = cablesense_ros.cli.app:main",
-            "sim = cablesense_ros.sim_node:main",
-            "estimator = cablesense_ros.estimator_node:main",
-            "page = cablesense_ros.page_node:main",
-            "can_driver = cablesense_ros.can_driver_node:main",
-            "can_emulator = cablesense_ros.can_emulator_node:main",
-            "breather = cablesense_ros.breather_node:main",
-            "commissioner = cablesense_ros.commissioner_node:main",
+            "sim = cablesense_ros.programs:sim",
+            "estimator = cablesense_ros.programs:estimator",
+            "page = cablesense_ros.programs:page",
+            "can_driver = cablesense_ros.programs:can_driver",
+            "can_emulator = cablesense_ros.programs:can_emulator",
+            "breather = cablesense_ros.programs:breather",
+            "commissioner = cablesense_ros.programs:commissioner",
         ]
     },
 )

@@ -88,7 +88,7 @@ EXTRAS = {
     "can": "robot",
     "mujoco": "sim",
     "numba": "sim",
-    "scipy": "sim",
+    "scipy": "gap",
     "msgspec": "page",
     "viser": "page",
     "websockets": "page",

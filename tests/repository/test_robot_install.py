@@ -103,6 +103,34 @@ def test_a_missing_package_is_one_line_with_its_remedy(module: str, remedy: str)
     assert "\n" not in line
 
 
+PROGRAM = """
+import sys
+sys.modules[{absent!r}] = None
+from cablesense_ros.programs import {program}
+sys.exit({program}())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("program", "absent", "extra"),
+    [("sim", "mujoco", "sim"), ("page", "viser", "page"), ("can_driver", "can", "robot")],
+)
+def test_a_program_without_its_packages_ends_with_one_line(
+    program: str, absent: str, extra: str
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(absent=absent, program=program)],
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert f"'cablesense_ros[{extra}]'" in line
+
+
 def test_rosdep_leaves_out_on_a_robot_what_the_extra_robot_leaves_out() -> None:
     depends = parse_package(CHECKOUT).exec_depends
     left_out = {depend.name for depend in depends if depend.condition == CONDITION}
