@@ -52,13 +52,11 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 	@mkdir -p build
 	@rm -f cablesense_sim/__pycache__/*.nbi cablesense_sim/__pycache__/*.nbc
-	@echo 'Compiling statics (half a minute, once) …'
 	@$(BIN)/python -c 'import numpy as np; from cablesense_sim.arm import open_arm; from cablesense_sim.build import mechanism_of; from cablesense_sim.equilibrium import solve_equilibrium; solve_equilibrium(mechanism_of(open_arm("cdsm")), np.zeros(8))'
 	@touch $@
 
 # What the default arm does without.
 build/compiled-all: build/compiled
-	@echo 'Compiling the law of friction …'
 	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import ArmQuasiStatics; ArmQuasiStatics(open_arm("cdsm_friction"))'
 	@touch $@
 
@@ -93,7 +91,7 @@ man: $(VENV)/.demo  ## the manual page of `cablesense`, from its help texts, in 
 	@$(BIN)/python .ci/man > build/cablesense.1
 	@mv build/cablesense.1 man/cablesense.1
 
-dist: setup man  ## wheels and source distributions of a release, in dist/
+dist: setup  ## wheels and source distributions of a release, in dist/
 	@rm -rf dist && mkdir dist
 	@$(BIN)/python .ci/release dist
 

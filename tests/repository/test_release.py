@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build a release, with its manual page; give the folder of its files."""
+    """Build a release; give the folder of its files."""
     folder = tmp_path_factory.mktemp("release")
     subprocess.run(
         [sys.executable, str(CHECKOUT / ".ci/release"), str(folder)],
@@ -132,7 +132,8 @@ def test_a_wheel_carries_all_rooms_and_the_config(wheel: Path) -> None:
     assert {"cablesense_ros/parameters.yaml", "cablesense_online/page/panel.html"} <= set(names)
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
-    assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
+    for shared in ("cablesense_ros/config/arms/cdsm.yaml", "man/man1/cablesense.1"):
+        assert any(name.endswith(f"share/{shared}") for name in names), shared
     assert {Path(n).name for n in names if ".dist-info/" in n} >= {"LICENSE", "NOTICE"}
     assert not any(n.startswith(("tests/", "paper/", "examples/")) for n in names)
 
