@@ -49,8 +49,8 @@ ROS = [
 ]
 
 EXTRAS = {
-    "robot": ROBOT,  # a robot's computer with ROS: the estimator, the CAN driver, the commissioner
-    "sim": SIM,  # the simulated arm, the breather, and estimates by the paper's networks
+    "robot": ROBOT,  # a robot's computer with ROS: estimator, CAN driver, commissioner, breather
+    "sim": SIM,  # the simulated arm
     "page": PAGE,
     "ros": ROS,
     "demo": [*ROBOT, *PAGE, *ROS],  # `cablesense demo` on a computer without ROS

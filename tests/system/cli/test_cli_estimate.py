@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from cablesense_base import CableSenseError
 from cablesense_recording.checks import read_recording
 from cablesense_recording.column_map import read_column_map
+from cablesense_recording.csv_file import write_table
 from cablesense_ros.cli.app import app
 from cablesense_sim import (
     mechanism_of,
@@ -23,6 +25,7 @@ from cablesense_sim import (
     solve_equilibrium,
 )
 from tests.helpers.bags import Bag
+from tests.helpers.checkout import CHECKOUT
 
 ARM = open_arm("cdsm_lab")
 ROWS = 120
@@ -182,6 +185,33 @@ def test_a_map_that_cannot_be_meant_is_refused_in_one_line(
         read_column_map(meant, ARM)
     assert said in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_the_map_of_the_docs_is_one(tmp_path: Path) -> None:
+    page = (CHECKOUT / "docs/recordings.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    meant = tmp_path / "map.yaml"
+    meant.write_text(example, encoding="utf-8")
+    described = read_column_map(meant, ARM)
+    assert described.newtons == -KGF_N
+    assert described.loads is not None
+
+
+def test_an_arm_that_stands_still_needs_no_columns_of_commands(
+    run: tuple[np.ndarray, ...], tmp_path: Path
+) -> None:
+    time_s, _, tensions_n = run
+    recording = tmp_path / "my.csv"
+    names = [f"tension_{number}_n" for number in range(1, 13)]
+    write_table(
+        recording, {"time_s": time_s, **dict(zip(names, tensions_n.T, strict=True))}, "%.9g"
+    )
+    meant = tmp_path / "map.yaml"
+    held = {"commands": {"held": [4.0, 0, 0, 0, 0, 0, 0, 0], "unit": "deg"}}
+    meant.write_text(yaml.safe_dump(held), encoding="utf-8")
+    read = read_recording(recording, ARM, columns=read_column_map(meant, ARM))
+    np.testing.assert_allclose(read.command_rad[:, 0], np.deg2rad(4.0))
+    np.testing.assert_allclose(read.tensions_n, tensions_n, rtol=1e-8)
 
 
 def test_a_recording_without_the_untouched_arm_is_refused(
