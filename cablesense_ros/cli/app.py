@@ -105,3 +105,7 @@ def _run(command: typer.Typer) -> tuple[str, int]:
 def _on_end_signal(number: int, _: object) -> None:
     handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+
+if __name__ == "__main__":
+    main()
