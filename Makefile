@@ -16,14 +16,13 @@ FAST := --numprocesses auto --ignore=tests/system/ros --hypothesis-profile=fast 
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 # uv takes a fifth of pip's time. Only pip knows the index and the build of torch that its configuration names.
 UV := $(BIN)/uv pip
-DEMO := ros,can,page
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site models messages lock verify clean
+.PHONY: help demo test test-fast lint setup site models messages lock verify man dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -53,13 +52,11 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 	@mkdir -p build
 	@rm -f cablesense_sim/__pycache__/*.nbi cablesense_sim/__pycache__/*.nbc
-	@echo 'Compiling statics (half a minute, once) …'
 	@$(BIN)/python -c 'import numpy as np; from cablesense_sim.arm import open_arm; from cablesense_sim.build import mechanism_of; from cablesense_sim.equilibrium import solve_equilibrium; solve_equilibrium(mechanism_of(open_arm("cdsm")), np.zeros(8))'
 	@touch $@
 
 # What the default arm does without.
 build/compiled-all: build/compiled
-	@echo 'Compiling the law of friction …'
 	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import ArmQuasiStatics; ArmQuasiStatics(open_arm("cdsm_friction"))'
 	@touch $@
 
@@ -89,18 +86,27 @@ verify: | $(BIN)/python  ## installs constraints.txt apart, refusing every file 
 	@rm -r build/verify
 	@echo 'Every file has a hash of constraints.hashes.txt.'
 
+man: $(VENV)/.demo  ## the manual page of `cablesense`, from its help texts, in man/
+	@mkdir -p man build
+	@$(BIN)/python .ci/man > build/cablesense.1
+	@mv build/cablesense.1 man/cablesense.1
+
+dist: setup  ## wheels and source distributions of a release, in dist/
+	@rm -rf dist && mkdir dist
+	@$(BIN)/python .ci/release dist
+
 clean:  ## takes away .venv and what was built
-	@rm -rf $(VENV) build install log *.egg-info
+	@rm -rf $(VENV) build dist man install log *.egg-info
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the demo needs (up to a minute, once) …'
-	@$(INSTALL) uv && $(UV) install --quiet --python $(BIN)/python --constraint constraints.txt --editable '.[$(DEMO)]' || \
-	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO)]'
+	@$(INSTALL) uv && $(UV) install --quiet --python $(BIN)/python --constraint constraints.txt --editable '.[demo]' || \
+	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo]'
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.demo
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO),train,gap,dev,docs]'
+	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo,train,gap,dev,docs]'
 	@touch $@
 
 $(BIN)/python:

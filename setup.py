@@ -4,45 +4,58 @@
 bounds that are known to matter.
 """
 
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "cablesense_ros"
 
+# What an estimator needs, beside the messages of ROS. Whatever a robot's computer does without
+# stands in an extra, as an extra can only add.
 REQUIRES = [
     "lazy-loader",  # public names of a package, imported when first used
-    "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
-    "numba",  # arms with friction go from rest to rest, row by row, in compiled code
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
     "onnx",  # checks a model file before it is run
     "onnxruntime",  # runs the trained model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
     "rich",  # tables and progress bars in the terminal
-    "scipy",  # least squares, rotations, statistics
     "typer",  # the `cablesense` command
 ]
 
+ROBOT = [
+    "cantools",  # decodes and encodes frames by a DBC file
+    "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
+]
+SIM = [
+    "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
+    "numba",  # equilibria of arms, and arms with friction row by row, in compiled code
+    "scipy",  # Numba's linear algebra; least squares and statistics elsewhere
+]
+PAGE = [
+    *SIM,
+    "jinja2",  # the figures on the page
+    "matplotlib",  # the picture of a headless demo, pictures of an evaluation
+    "msgspec",  # reads what a browser sends, before viser does
+    "viser",  # the 3D page in the browser
+    "websockets",  # viser's server, whose requests are checked
+]
+# ROS 2 Jazzy without a ROS installation; a machine with Jazzy from apt needs none of these
+ROS = [
+    "ros-jazzy-common-interfaces",  # the standard messages of the contract
+    "ros-jazzy-rclpy",  # rclpy and the message runtime
+    "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
+]
+
 EXTRAS = {
-    # ROS 2 Jazzy without a ROS installation; a machine with Jazzy from apt needs none of these
-    "ros": [
-        "ros-jazzy-common-interfaces",  # the standard messages of the contract
-        "ros-jazzy-rclpy",  # rclpy and the message runtime
-        "ros-rclpy[fastrtps]==7.1.6",  # the middleware; other releases do not fit the two above
-    ],
-    "can": [
-        "cantools",  # decodes and encodes frames by a DBC file
-        "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
-    ],
-    "page": [
-        "jinja2",  # the figures on the page
-        "matplotlib",  # the picture of a headless demo, pictures of an evaluation
-        "msgspec",  # reads what a browser sends, before viser does
-        "viser",  # the 3D page in the browser
-        "websockets",  # viser's server, whose requests are checked
-    ],
+    "robot": ROBOT,  # a robot's computer with ROS: estimator, CAN driver, commissioner, breather
+    "sim": SIM,  # the simulated arm
+    "page": PAGE,
+    "ros": ROS,
+    "demo": [*ROBOT, *PAGE, *ROS],  # `cablesense demo` on a computer without ROS
     "gap": [
+        *SIM,
         "jinja2",  # the report's page
         "lz4",  # unpacks chunks to a bound, where mcap, which brings it, has none
         "matplotlib",  # the report's pictures
@@ -52,6 +65,7 @@ EXTRAS = {
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
     "train": [
+        *SIM,
         "distributed",  # datasets, and series of recordings, on a Dask cluster
         "onnxscript",  # torch exports through it
         "pillow",  # the animation of an example in few colours
@@ -107,11 +121,21 @@ def packages() -> list[str]:
     return listed
 
 
+def long_description() -> str:
+    """The README without what is not in a distribution: pictures, and links to other files."""
+    text = Path("README.md").read_text(encoding="utf-8")
+    text = re.sub(r"^!\[.*?\]\(.*?\)\n+", "", text, flags=re.MULTILINE)
+    return re.sub(r"\[([^\]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+
+
 def data_files() -> list[tuple[str, list[str]]]:
     """List what goes to `share/`, as pairs of a folder and its files."""
     share = Path("share", NAME)
     placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
     placed[share] = ["package.xml"]
+    manual = Path("man/cablesense.1")  # `make man` writes it
+    if manual.is_file():
+        placed[Path("share/man/man1")] = [str(manual)]
     sources = (("config", "config"), ("cablesense_ros/launch", "launch"))
     for source, target in sources:
         for file in sorted(Path(source).rglob("*")):
@@ -125,6 +149,17 @@ setup(
     name=NAME,
     version="0.1.0",
     description="From cable tensions: where a cable-driven arm is touched, and how hard",
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
+    keywords="cable-driven continuum robot force estimation contact MuJoCo ROS",
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Topic :: Scientific/Engineering",
+    ],
     license="Apache-2.0",
     license_files=["LICENSE", "NOTICE"],
     author="CableSense developers",
@@ -141,14 +176,14 @@ setup(
     entry_points={
         "console_scripts": [
             "cablesense = cablesense_ros.cli.app:main",
-            "machine_sim = cablesense_ros.machine_sim_node:main",
-            "sim = cablesense_ros.sim_node:main",
-            "estimator = cablesense_ros.estimator_node:main",
-            "page = cablesense_ros.page_node:main",
-            "can_driver = cablesense_ros.can_driver_node:main",
-            "can_emulator = cablesense_ros.can_emulator_node:main",
-            "breather = cablesense_ros.breather_node:main",
-            "commissioner = cablesense_ros.commissioner_node:main",
+            "machine_sim = cablesense_ros.programs:machine_sim",
+            "sim = cablesense_ros.programs:sim",
+            "estimator = cablesense_ros.programs:estimator",
+            "page = cablesense_ros.programs:page",
+            "can_driver = cablesense_ros.programs:can_driver",
+            "can_emulator = cablesense_ros.programs:can_emulator",
+            "breather = cablesense_ros.programs:breather",
+            "commissioner = cablesense_ros.programs:commissioner",
         ]
     },
 )

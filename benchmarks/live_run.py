@@ -16,7 +16,6 @@ import rclpy
 from geometry_msgs.msg import WrenchStamped
 from harness import cpu_s, rss_mb
 from numpy.typing import NDArray
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
@@ -26,6 +25,7 @@ from cablesense_base import Array
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.executor import make_executor
 from cablesense_ros.processes import Process, own_graph
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -89,7 +89,7 @@ class SpunNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._executor = EventsExecutor()
+        self._executor = make_executor()
         self._executor.add_node(self)
 
     def spin(self, seconds: float, until: Future | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What is installed: the files of `config/`, by path or by the name of one, and the version.
+"""What is installed: files of `config/`, by path or by the name of one; packages; the version.
 
 A wheel or a `colcon build` copies `config/` and the examples that a verb runs to
 `share/cablesense_ros` under the prefix that the package was installed to. A checkout, and an
@@ -81,6 +81,44 @@ class BundledFiles:
                 f"no {self.kind} file {name}; give an existing {suffix} file or one of {bundled}"
             )
         return Path(name)
+
+
+EXTRAS = {
+    "cantools": "robot",
+    "can": "robot",
+    "mujoco": "sim",
+    "numba": "sim",
+    "scipy": "gap",
+    "msgspec": "page",
+    "viser": "page",
+    "websockets": "page",
+    "jinja2": "gap",
+    "lz4": "gap",
+    "matplotlib": "gap",
+    "mcap": "gap",
+    "pandas": "gap",
+    "rosbags": "gap",
+    "zstandard": "gap",
+    "distributed": "train",
+    "onnxscript": "train",
+    "PIL": "train",
+    "pyarrow": "train",
+    "sklearn": "train",
+    "torch": "train",
+    "rclpy": "demo",
+}
+"""The extra of `cablesense_ros` that brings a package, by the name that is imported."""
+
+
+def missing_package_line(error: ModuleNotFoundError) -> str:
+    """What to install, as one line, where an import has failed."""
+    package = (error.name or "").partition(".")[0]
+    extra = EXTRAS.get(package)
+    remedy = f"pip install 'cablesense_ros[{extra}]'" if extra else f"pip install {package}"
+    return (
+        f"this needs the Python package {package}, which is not installed: {remedy}, "
+        "or `make setup` in a checkout"
+    )
 
 
 def package_version() -> str:

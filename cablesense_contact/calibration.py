@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from cablesense_base import Array, CableSenseError
+from cablesense_contact.chi_squared import limit_at, probability_above
 from cablesense_contact.felt import FeltMachine, still
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
@@ -98,7 +98,7 @@ class Calibration:
     @property
     def misfit_probability(self) -> float:
         """Probability of residuals this large if the arm is as its tolerances say."""
-        return float(chi2.sf(self.chi2, self.compared)) if self.compared else 1.0
+        return probability_above(self.chi2, self.compared) if self.compared else 1.0
 
     @property
     def as_described(self) -> bool:
@@ -337,10 +337,10 @@ class Calibrator:
         return self._machine.drift_per_hour * abs(to_ns - from_ns) / 3.6e12
 
     def _require_unloaded(self, misfit: float, count: int, *, force: bool) -> None:
-        if float(chi2.sf(misfit, count)) < REFUSED_BELOW and not force:
+        if probability_above(misfit, count) < REFUSED_BELOW and not force:
             raise CalibrationError(
                 f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
-                f"{count} numbers, where {chi2.isf(REFUSED_BELOW, count):.0f} would do; is it "
+                f"{count} numbers, where {limit_at(REFUSED_BELOW, count):.0f} would do; is it "
                 "touched, somewhere else than commanded, or not the arm of the file? Larger "
                 "tolerances in the arm file, or force, accept them"
             )

@@ -14,9 +14,9 @@ from enum import Enum
 from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
 
 from cablesense_base import Array
+from cablesense_contact.chi_squared import limit_at
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
@@ -209,4 +209,4 @@ class Judge:
 @cache
 def largest_chi2(numbers: int) -> float:
     """χ² of residuals up to which they count as noise; of no residual any will do."""
-    return float(chi2.isf(IMPROBABLE, numbers)) if numbers > 0 else math.inf
+    return limit_at(IMPROBABLE, numbers) if numbers > 0 else math.inf

@@ -90,6 +90,39 @@ class EffortReader:
         return fields.at
 
 
+def _string(text: str) -> bytes:
+    content = text.encode() + b"\0"
+    return struct.pack("<I", len(content)) + content
+
+
+def _align(head: bytearray, size: int) -> None:
+    """Pad what follows the stamp; sizes count from after the encapsulation."""
+    head += b"\0" * ((_STAMP_AT - _HEAD_AT - len(head)) % size)
+
+
+class EffortWriter:
+    """Writes joint states of some names that hold efforts alone."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        head = bytearray(_string(""))  # frame_id
+        _align(head, 4)
+        head += struct.pack("<I", len(names))
+        for name in names:
+            _align(head, 4)
+            head += _string(name)
+        _align(head, 4)
+        head += struct.pack("<3I", 0, 0, len(names))  # no positions, no velocities
+        if names:
+            _align(head, 8)
+        self._head = bytes(head)
+        self._values = struct.Struct(f"<{len(names)}d")
+
+    def write(self, stamp_ns: int, efforts: Sequence[float]) -> bytes:
+        """A stamped message with one effort for each name."""
+        stamp = _STAMPS[b"\0\1"].pack(*divmod(stamp_ns, 1_000_000_000))
+        return b"\0\1\0\0" + stamp + self._head + self._values.pack(*efforts)
+
+
 def require_bounded(raw: bytes, most: int = MAX_MESSAGE_BYTES) -> None:
     """Raise a `ContractError` for what is longer than any message of its topic, unparsed."""
     if len(raw) > most:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, Estimate
@@ -19,6 +18,7 @@ from cablesense_contact.felt import LinksAtPose
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tare
+from cablesense_sim.rotations import quaternion_xyzw
 
 _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
@@ -208,6 +208,6 @@ class ContactStatics:
         covariance[3:, 3:] = np.outer(along, along) * math.radians(angle_std_deg) ** 2
         return ContactPose(
             (self._joints_m[n] + contact.contact_m * along).tolist(),
-            Rotation.from_matrix(turn).as_quat().tolist(),
+            quaternion_xyzw(turn),
             covariance.ravel().tolist(),
         )

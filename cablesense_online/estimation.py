@@ -6,6 +6,7 @@ input is silent, which publisher is followed, and what is counted for diagnostic
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,11 @@ class Estimation:
         self.publisher = FollowedPublisher(self.settings.stale_after_s)
         self.counts = SampleCounts(now_s)
         self.state = self.state.anew
+
+    def begin_at(self, pose_rad: Array) -> None:
+        """Before the first sample: the arm rests at a pose (2N,), and not straight."""
+        motion = self.estimator.gate.at_rest(pose_rad)
+        self.state = replace(self.state, motion=motion)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this publication number on.

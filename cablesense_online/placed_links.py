@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cablesense_contact.felt import LinkFrames
+from cablesense_sim.rotations import quaternion_xyzw
 
 _Vector = tuple[float, float, float]
 
@@ -23,7 +23,7 @@ class PlacedLinks:
         """None where the links' frames are those of messages."""
         self._frames = frames
         if frames is not None:
-            self._quaternions = Rotation.from_matrix(frames.axes).as_quat()
+            self._quaternions = [quaternion_xyzw(axes) for axes in frames.axes]
 
     def wrench(self, number: int, wrench: Sequence[float]) -> Sequence[float]:
         """(6,) force and moment; without a contact, with number 0, as it is."""
@@ -55,5 +55,4 @@ class PlacedLinks:
         """(4,) x, y, z, w of a link's frame."""
         if self._frames is None:
             return 0.0, 0.0, 0.0, 1.0
-        turn: list[float] = self._quaternions[number - 1].tolist()
-        return turn
+        return self._quaternions[number - 1]

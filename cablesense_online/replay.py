@@ -28,6 +28,7 @@ from cablesense_msgs_py.qos import CONTRACT, of_contract
 from cablesense_msgs_py.serialized import WrenchWriter, require_bounded, stamp_ns, wrench_writers
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
+from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
 from cablesense_online.models import Loaded, LoadedModel, frames_of
@@ -345,7 +346,7 @@ def replay_in_process(
         for number, replayed in enumerate(answers):
             if number == 0:
                 segments = [f"p_segment_{n + 1}" for n in range(replayed.segment_count)]
-                head = ("stamp_ns", "segment", "angle_deg", "magnitude_n", "p_none")
+                head = ("stamp_ns", *ANSWER_COLUMNS, "p_none")
                 table.writerow([*head, *segments, "problem"])
             table.writerow(_row(replayed))
     return comparison
@@ -353,11 +354,9 @@ def replay_in_process(
 
 def _row(replayed: ReplayedAnswer) -> list[object]:
     answer = replayed.answer
-    contact = answer.contact
-    touched = (contact.angle_deg, contact.magnitude_n) if contact.segment else ("", "")
     probabilities = answer.probabilities or ("",) * (replayed.segment_count + 1)
     problem = "" if answer.problem is None else answer.problem.kind.value
-    return [replayed.stamp_ns, contact.segment, *touched, *probabilities, problem]
+    return [replayed.stamp_ns, *answer_cells(answer), *probabilities, problem]
 
 
 def _compared(

@@ -25,7 +25,9 @@ from cablesense_recording.channels import (
     command_columns,
     tension_columns,
 )
+from cablesense_recording.column_map import ColumnMap
 from cablesense_recording.csv_file import CSV_ENDINGS, read_csv
+from cablesense_recording.mapped import read_mapped
 from cablesense_recording.mcap_file import is_bag, read_mcap
 from cablesense_recording.recording import (
     EXCHANGED,
@@ -66,16 +68,23 @@ _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
 
-def read_recording(path: str | Path, arm: Arm, topics: Sequence[str] = ()) -> Recording:
+def read_recording(
+    path: str | Path, arm: Arm, topics: Sequence[str] = (), columns: ColumnMap | None = None
+) -> Recording:
     """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
 
-    Of a bag with several arms that is read whose `topics` are given.
+    Of a bag with several arms that is read whose `topics` are given. `columns` says what columns
+    of other names and units mean.
 
     Raises:
         RecordingError: no such file, another format, or what cannot be used.
     """
     path = Path(path)
-    if path.name.lower().endswith(CSV_ENDINGS):
+    if columns is not None:
+        if topics:
+            raise RecordingError(f"{path}: a map of columns names the topics of a bag itself")
+        recording = read_mapped(path, arm, columns)
+    elif path.name.lower().endswith(CSV_ENDINGS):
         if topics:
             raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
         recording = read_csv(path, arm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.node import Node
@@ -37,6 +37,7 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_sim.arm import open_arm
+from cablesense_sim.compiled import leave_interpreted
 
 
 class BreatherNode(Node):
@@ -159,7 +160,10 @@ class BreatherNode(Node):
         return [Status("breathing", Level.OK, message, values)]
 
 
-main = partial(run_node, BreatherNode)
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    leave_interpreted()
+    return run_node(BreatherNode, args)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -54,6 +55,7 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.compiled import leave_interpreted
 
 _TICK_S = 0.02
 """From one command to the next."""
@@ -302,7 +304,10 @@ def _is_of_the_clock(error: CableSenseError) -> bool:
     return isinstance(error, SampleError) and error.kind is ProblemKind.CLOCK
 
 
-main = partial(run_node, CommissionerNode)
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    leave_interpreted()
+    return run_node(CommissionerNode, args)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,8 @@ def run_live(options: DemoOptions) -> None:
     """
     from cablesense_online.page.guard import exposure_warning
 
-    options, _ = _checked(options)
+    options, model = _checked(options)
+    contact_range_n(model.arm)  # on a fresh machine it compiles; in the nodes nobody sees why
     with _nodes(options, live=True) as processes:
         print(f"Starting {', '.join(processes)} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)

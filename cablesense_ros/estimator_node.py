@@ -43,6 +43,7 @@ from cablesense_ros.endpoints import (
 )
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, parameter_values, run_node
+from cablesense_sim.compiled import leave_interpreted
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -110,6 +111,7 @@ class EstimatorNode(ConfiguredNode):
         self._estimation = Estimation(machine, contacts, settings, now_s, calibration)
         self._force_known: ForceKnown | None = None
         if loaded.law is not None:
+            leave_interpreted()  # a network asks for an equilibrium in every pose, a law hardly
             self._force_known = ForceKnown(machine, loaded.law, loaded.reference_contacts)
         frames = frames_of(machine, given["frame_prefix"])
         self._outputs = EstimatorOutputs(

@@ -26,8 +26,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
-from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -37,11 +36,13 @@ from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import missing_package_line
 from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
+from cablesense_ros.executor import make_executor
 from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
 
 _WAKE_S = 0.2
@@ -97,12 +98,13 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
 
 
 def _spin(node: Node, wanted_end: Future) -> None:
-    """Spin in the events executor, which has the least latency.
+    """Spin until the end is wanted.
 
-    Its own `spin` does not return at shutdown. rclpy's signal handlers would invalidate the
-    context under a callback that is running; ours note that the end is wanted, for the loop.
+    The events executor's own `spin` does not return at shutdown. rclpy's signal handlers would
+    invalidate the context under a callback that is running; ours note that the end is wanted, for
+    the loop.
     """
-    executor = EventsExecutor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         while rclpy.utilities.ok() and not wanted_end.done():
@@ -120,7 +122,7 @@ def _cannot_start(error: Exception) -> int:
 
 
 @contextmanager
-def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExecutor]]:
+def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, Executor]]:
     """A node in a process that has other work, and the executor for the caller to spin."""
     prefer_quick_discovery()
     with ExitStack() as stack:
@@ -130,7 +132,7 @@ def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExec
         stack.callback(signal.alarm, 0)
         stack.callback(node.destroy_node)
         stack.callback(signal.alarm, _ENDED_WITHIN_S)
-        executor = EventsExecutor()
+        executor = make_executor()
         stack.callback(executor.shutdown)
         executor.add_node(node)
         yield node, executor
@@ -358,9 +360,7 @@ class ConfiguredNode(LifecycleNode, ABC):
         try:
             act()
         except Exception as error:
-            expected = isinstance(error, CableSenseError)
-            reason = f" {error}" if expected else f"\n{traceback.format_exc()}"
-            self.get_logger().error(f"cannot {what}:{reason}")
+            self.get_logger().error(f"cannot {what}:{_reason(error)}")
             return False
         return True
 
@@ -373,6 +373,15 @@ class ConfiguredNode(LifecycleNode, ABC):
     @abstractmethod
     def _statuses(self) -> list[Status]:
         """The node's diagnostics at present."""
+
+
+def _reason(error: Exception) -> str:
+    """What the log says of an error, after a colon: one line for those that are expected."""
+    if isinstance(error, CableSenseError):
+        return f" {error}"
+    if isinstance(error, ModuleNotFoundError):
+        return f" {missing_package_line(error)}"
+    return f"\n{traceback.format_exc()}"
 
 
 _PERIOD_S = 1.0

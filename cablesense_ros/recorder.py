@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
@@ -293,7 +293,7 @@ def capture_tensions(
     return Recording(name, time_s - time_s[0], zeros, nowhere, zeros, nowhere, read_n), pulls
 
 
-def _spin(executor: EventsExecutor, seconds: float) -> None:
+def _spin(executor: Executor, seconds: float) -> None:
     """Spin for a time; a signal to end takes effect after it.
 
     What a handler raises while the executor hands an argument to Python would be lost.

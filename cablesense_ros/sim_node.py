@@ -43,8 +43,8 @@ from cablesense_sim.built_arm import as_described, built_arm
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import sensings
 from cablesense_sim.loads import contact_of_wrench
-from cablesense_sim.model import urdf_xml
 from cablesense_sim.touch import touched_places
+from cablesense_sim.urdf import urdf_xml
 
 TIMESTEP_S = 1e-3
 """Of the simulated dynamics."""

@@ -23,6 +23,6 @@ from .loads import contact_angle_deg as contact_angle_deg
 from .loads import normal_force_n as normal_force_n
 from .mechanism import Mechanism as Mechanism
 from .model import build_spec as build_spec
-from .model import urdf_xml as urdf_xml
 from .replay import read_tensions_n as read_tensions_n
 from .replay import replay_arm as replay_arm
+from .urdf import urdf_xml as urdf_xml

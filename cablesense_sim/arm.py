@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -310,8 +311,25 @@ _BUNDLED = BundledFiles("arm", "arms", (".yaml", ".yml"), ArmFileError)
 bundled_arms = _BUNDLED.names
 """Names of the bundled arms, for example `cdsm`."""
 
-find_arm = _BUNDLED.find
-"""The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) means; else `ArmFileError`."""
+_OTHER_MODELS = (".xml", ".mjcf", ".urdf")
+"""Endings of files that describe other machines."""
+
+
+def find_arm(name_or_path: str | Path) -> Path:
+    """The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) means.
+
+    Raises:
+        ArmFileError: neither a bundled name nor an arm file; of a model of another machine the
+            message says which commands take that.
+    """
+    path = Path(name_or_path)
+    if path.suffix.lower() in _OTHER_MODELS and os.path.isfile(path):  # noqa: PTH113
+        raise ArmFileError(
+            f"{path}: is a model of any machine, and no arm file: cablesense gap diagnose, adapt, "
+            "predict, protocol and watch take it as --model; all else needs an arm file "
+            "(cablesense info --template)"
+        )
+    return _BUNDLED.find(name_or_path)
 
 
 def open_arm(name_or_path: str | Path) -> Arm:

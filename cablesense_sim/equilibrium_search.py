@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim.compiled import compiled, factorise, solve
+from cablesense_sim.compiled import compiled
+from cablesense_sim.linear_equations import factorise, solve
 from cablesense_sim.mechanism import Mechanism
 
 _TOUCHING_M = 1e-9

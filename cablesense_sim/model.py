@@ -1,6 +1,6 @@
-"""The arm as a model for others: for MuJoCo by `mujoco.MjSpec`, and as a URDF.
+"""The arm as a MuJoCo model, by `mujoco.MjSpec`.
 
-In MuJoCo cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing
+Cables are spatial tendons with `springlength = [0, L0]`: a spring beyond L0 and nothing
 below, so they pull and never push. An actuator of finite stiffness is a slide joint under a
 position servo at the cable's far end; a rigid one is a mocap body that sits exactly where it is
 commanded.
@@ -8,28 +8,19 @@ commanded.
 
 from __future__ import annotations
 
-from xml.etree import ElementTree
-
 import mujoco
 import numpy as np
 
 from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
+from cablesense_sim.drawn_shapes import PLATE_HALF_THICKNESS_M, PLATE_RADIUS, SEGMENT_RADIUS
 from cablesense_sim.mechanism import Mechanism
 
 ACTUATOR_MASS_KG = 0.5
 """Moving mass of one ball screw; it has no part in statics."""
 
-_PLATE_HALF_THICKNESS_M = 0.0015
-"""Of a guide plate as drawn."""
 _CABLE_WIDTH_M = 0.0008
 """Of a cable as drawn: MuJoCo's tendons have no thickness."""
 _Rgba = tuple[float, float, float, float]
-_SEGMENT_RADIUS = 0.12
-"""Of a segment as drawn, by its length."""
-_PLATE_RADIUS = 1.08
-"""Of a guide plate as drawn, by that of the outermost holes."""
 _TIMESTEP_S = 1e-3
 """Of the MuJoCo model, unless its user sets another one."""
 _LEAST_KG = 1e-6
@@ -90,7 +81,7 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
         across = (3.0 * radius**2 + length**2) / 12.0
         body.inertia = body.mass * np.array([0.5 * radius**2, across, across])
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-        _add_shape(body, capsule, 0.0, length, _SEGMENT_RADIUS * length, _SEGMENT_RGBA)
+        _add_shape(body, capsule, 0.0, length, SEGMENT_RADIUS * length, _SEGMENT_RGBA)
         _add_plate(body, mechanism.plate_offset_m, radius)
         if n + 1 < mechanism.segment_count:
             _add_plate(body, length - mechanism.plate_offset_m, radius)
@@ -101,8 +92,8 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
 
 
 def _add_plate(body: mujoco.MjsBody, x_m: float, radius_m: float) -> None:
-    ends = x_m - _PLATE_HALF_THICKNESS_M, x_m + _PLATE_HALF_THICKNESS_M
-    _add_shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, *ends, _PLATE_RADIUS * radius_m, _PLATE_RGBA)
+    ends = x_m - PLATE_HALF_THICKNESS_M, x_m + PLATE_HALF_THICKNESS_M
+    _add_shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, *ends, PLATE_RADIUS * radius_m, _PLATE_RGBA)
 
 
 def _add_shape(
@@ -165,65 +156,3 @@ def _add_servo(spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, 
         name=f"servo_{i + 1}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
     servo.set_to_position(kp=stiffness_n_m, kv=2.0 * np.sqrt(stiffness_n_m * ACTUATOR_MASS_KG))
-
-
-def urdf_xml(arm: Arm) -> str:
-    """The URDF text of an arm for `robot_description` (RViz, robot_state_publisher).
-
-    Cables have no place in a URDF; it carries the links `base_link`, `segment_n` and the joints
-    that `joint_states` names.
-    """
-    mechanism = mechanism_of(arm)
-    radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
-    parent = "base_link"
-    position = mechanism.plate_offset_m
-    offset = mechanism.plate_offset_m
-    parts = [f'<link name="base_link">{_disc(0.0, radius)}</link>']
-    for n in range(arm.segment_count):
-        middle = f"segment_{n + 1}_pitched"
-        child = f"segment_{n + 1}"
-        limit = float(mechanism.bend_limit_rad[n])
-        length = float(mechanism.segment_length_m[n])
-        mass = float(mechanism.mass_kg[n])
-        centre = float(mechanism.centre_of_mass_m[n])
-        across = mass * (3.0 * radius**2 + length**2) / 12.0
-        inertial = _inertial(mass, centre, 0.5 * mass * radius**2, across)
-        shape = _cylinder(0.5 * length, length, _SEGMENT_RADIUS * length)
-        plates = [offset, length - offset] if n + 1 < arm.segment_count else [offset]
-        parts += [
-            f'<link name="{middle}">{_inertial(1e-6, 0.0, 1e-9, 1e-9)}</link>',
-            _joint(f"joint_{n + 1}_pitch", parent, middle, position, "0 1 0", limit),
-            f'<link name="{child}">{inertial}{shape}',
-            *(_disc(x, radius) for x in plates),
-            "</link>",
-            _joint(f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit),
-        ]
-        parent = child
-        position = length
-    robot = ElementTree.fromstring(f'<robot name="{arm.name}">{"".join(parts)}</robot>')
-    ElementTree.indent(robot)
-    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True)
-
-
-def _joint(name: str, parent: str, child: str, x_m: float, axis: str, limit_rad: float) -> str:
-    return f"""<joint name="{name}" type="revolute">
-        <parent link="{parent}"/><child link="{child}"/><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/>
-        <axis xyz="{axis}"/>
-        <limit lower="{-limit_rad:.6g}" upper="{limit_rad:.6g}" effort="1000" velocity="3"/>
-        </joint>"""
-
-
-def _inertial(mass_kg: float, x_m: float, along: float, across: float) -> str:
-    return f"""<inertial><origin xyz="{x_m:.6g} 0 0" rpy="0 0 0"/><mass value="{mass_kg:.6g}"/>
-        <inertia ixx="{along:.6g}" iyy="{across:.6g}" izz="{across:.6g}" ixy="0" ixz="0" iyz="0"/>
-        </inertial>"""
-
-
-def _disc(x_m: float, radius_m: float) -> str:
-    return _cylinder(x_m, 2 * _PLATE_HALF_THICKNESS_M, _PLATE_RADIUS * radius_m)
-
-
-def _cylinder(x_m: float, length_m: float, radius_m: float) -> str:
-    shape = f"""<origin xyz="{x_m:.6g} 0 0" rpy="0 {np.pi / 2:.9g} 0"/><geometry>
-        <cylinder length="{length_m:.6g}" radius="{radius_m:.6g}"/></geometry>"""
-    return f"<visual>{shape}</visual><collision>{shape}</collision>"

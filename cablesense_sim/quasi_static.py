@@ -21,7 +21,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.cable_pull import CablePull
-from cablesense_sim.compiled import compiled, eliminate
+from cablesense_sim.compiled import compiled
 from cablesense_sim.effects.effect import ArmEquilibrium
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
@@ -33,6 +33,7 @@ from cablesense_sim.equilibrium_search import (
     plates_of,
     posed,
 )
+from cablesense_sim.linear_equations import eliminate
 from cablesense_sim.mechanism import Mechanism, stack
 
 _TOLERATED_N_M = 1e-4

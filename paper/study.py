@@ -33,6 +33,7 @@ from string import Formatter
 from typing import Any
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import missing_package_line
 from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_gap.report.style import image_bytes, style
 
@@ -195,10 +196,7 @@ def run_study(study: Study, quick: bool, progress: Progress) -> StudyOutcome:
     except CableSenseError as error:
         failure = str(error)
     except ModuleNotFoundError as error:
-        failure = (
-            f"it needs the Python package {error.name}, which is not installed; in a checkout run "
-            "`make setup`, or pip install '.[train,gap]'"
-        )
+        failure = missing_package_line(error)
     except Exception:
         failure = traceback.format_exc(limit=-3)
     return StudyOutcome(study, result, failure, time.perf_counter() - began)

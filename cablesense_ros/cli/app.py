@@ -15,7 +15,9 @@ from typing import Annotated
 import typer
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import missing_package_line
 from cablesense_ros.cli.calibrate import calibrate
+from cablesense_ros.cli.estimate import estimate
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
@@ -35,19 +37,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (
-    demo,
-    machine,
-    export,
-    dataset,
-    train,
-    evaluate,
-    info,
-    urdf,
-    calibrate,
-    record,
-    replay,
-):
+_VERBS = (
+    *(demo, machine, export, estimate, info, urdf, calibrate, record, replay),
+    *(dataset, train, evaluate),
+)
+for verb in _VERBS:
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)
@@ -99,8 +93,7 @@ def _run(command: typer.Typer) -> tuple[str, int]:
     except CableSenseError as error:
         return str(error), getattr(error, "exit_code", 2)
     except ModuleNotFoundError as error:
-        remedy = "in a checkout run `make setup`, or pip install '.[train,gap]'"
-        return f"this needs the Python package {error.name}, which is not installed; {remedy}", 2
+        return missing_package_line(error), 2
     except OSError as error:
         return str(error), 2
     except SystemExit as end:
@@ -113,3 +106,7 @@ def _run(command: typer.Typer) -> tuple[str, int]:
 def _on_end_signal(number: int, _: object) -> None:
     handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+
+if __name__ == "__main__":
+    main()

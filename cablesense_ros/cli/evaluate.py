@@ -15,9 +15,17 @@ from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
+    VerboseOption,
     WorkersOption,
-    print_result,
+    print_summary,
     refuse_given,
+)
+from cablesense_ros.cli.summaries import (
+    comparison_lines,
+    law_lines,
+    network_lines,
+    recorded_lines,
+    table2_lines,
 )
 
 if TYPE_CHECKING:
@@ -67,6 +75,7 @@ def evaluate(
             "--table2", help="Instead: the paper's measured tensions, true load against estimate."
         ),
     ] = False,
+    verbose: VerboseOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Compare the estimator, the paper's networks and the noise bound on fresh samples.
@@ -96,15 +105,19 @@ def evaluate(
         else:
             output_file(picture, force=force, inputs=(recording, *models))
         title, content = _recorded(recording, models, calibration, picture)
+        lines = recorded_lines(content)
     elif table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
         title, content = _table2("".join(models))
+        lines = table2_lines(content)
     elif models:
         title, content = _one_model(models[0], samples, seed, workers)
+        lines = law_lines(content) if "as_the_file" in content else network_lines(content)
     else:
         title, content = _comparison(samples, seed, workers)
-    print_result(title, content, json_output)
+        lines = comparison_lines(content)
+    print_summary(title, lines, content, as_json=json_output, verbose=verbose)
 
 
 Result = tuple[str, dict[str, Any]]

@@ -17,6 +17,7 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.options import (
+    ColumnsOption,
     ForceOption,
     JsonOption,
     ModelOption,
@@ -97,6 +98,7 @@ def diagnose(
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
     topic: TopicsOption = None,
+    columns: ColumnsOption = None,
     reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
@@ -117,7 +119,7 @@ def diagnose(
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
         verdict, lines = _diagnosed_arm(
-            recording, out, arm, reference, workers, force, console, topic or ()
+            recording, out, arm, reference, workers, force, console, topic or (), columns
         )
     else:
         from cablesense_gap.report.page import write_robot_diagnosis
@@ -126,7 +128,7 @@ def diagnose(
         from cablesense_gap.robot.recording import read_recording
         from cablesense_gap.robot.system import diagnose as make
 
-        refuse_given(context, ["arm"], "with --model")
+        refuse_given(context, ["arm", "columns"], "with --model")
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
@@ -176,19 +178,23 @@ def _diagnosed_arm(
     force: bool,
     console: Console,
     topics: Sequence[str],
+    columns: Path | None,
 ) -> tuple[Any, list[str]]:
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import earlier_sentence, headline
     from cablesense_recording.checks import read_recording
+    from cablesense_recording.column_map import read_column_map
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
-    recorded = read_recording(recording, nominal, topics)
-    healthy = None if reference is None else read_recording(reference, nominal, topics)
+    meant = None if columns is None else read_column_map(columns, nominal).with_loads
+    read = partial(read_recording, arm=nominal, topics=topics, columns=meant)
+    recorded = read(recording)
+    healthy = None if reference is None else read(reference)
     with diagnosis_progress(console) as (show, warn):
         diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
     write_diagnosis(out, diagnosis)

@@ -21,10 +21,13 @@ from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
+    VerboseOption,
     print_json,
     print_result,
+    print_summary,
     refuse_given,
 )
+from cablesense_ros.cli.summaries import arm_lines, effect_lines, model_lines
 from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_bound import contact_information
@@ -37,6 +40,7 @@ from cablesense_sim.load_capacity import (
     hidden_force,
     load_capacity,
 )
+from cablesense_sim.machine.description import is_machine_file
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_sim.touch import touched_places
 
@@ -96,6 +100,7 @@ def info(
     template: Annotated[
         bool, typer.Option("--template", help="Print an arm file to start from instead.")
     ] = False,
+    verbose: VerboseOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
@@ -117,17 +122,19 @@ def info(
     if not observability:
         refuse_given(context, ["picture", "force"], "without --observability")
     if template:
-        others = ["file", "effects", "blind", "observability", "json_output"]
+        others = ["file", "effects", "blind", "observability", "verbose", "json_output"]
         refuse_given(context, others, "with --template")
         print(config_path("arm_template.yaml").read_text(encoding="utf-8"), end="")
         return
+    lines: list[str] = []
     if effects:
         why = "with --effects, which are the same for every arm"
         refuse_given(context, ["file", "blind", "observability"], why)
         known = {name: _effect(effect) for name, effect in known_effects().items()}
         title = "Effects that an arm file can list"
         description = {"effects": known}
-    elif _is_machine(file):
+        lines = effect_lines(description)
+    elif is_machine_file(file):
         refuse_given(context, ["blind", "picture", "bend_deg"], "of a machine file")
         title, description = _machine(file, load_n, observability=observability)
     elif observability:
@@ -143,19 +150,19 @@ def info(
     elif file.endswith(".onnx"):
         title = "Model"
         description = _model(file)
+        lines = model_lines(description)
     elif (content := _calibration_content(file)) is not None:
         _show_calibration(content, file, json_output)
         return
     else:
         title = "Arm"
         description = _arm(file)
-    print_result(title, description, json_output)
-
-
-def _is_machine(file: str) -> bool:
-    from cablesense_sim.machine.description import is_machine_file
-
-    return is_machine_file(file)
+        lines = arm_lines(description)
+    if lines:
+        print_summary(title, lines, description, as_json=json_output, verbose=verbose)
+    else:
+        refuse_given(context, ["verbose"], "here, where a table is all that there is")
+        print_result(title, description, json_output)
 
 
 def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description]:
@@ -181,7 +188,7 @@ def urdf(
 
     Example: cablesense urdf my_arm.yaml --out my_arm.urdf
     """
-    from cablesense_sim.model import urdf_xml
+    from cablesense_sim.urdf import urdf_xml
 
     file = find_arm(arm)
     if out is not None:

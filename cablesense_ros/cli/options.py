@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from cablesense_base import CableSenseError
+from cablesense_ros.cli.wording import worded
 
 NominalArmOption = Annotated[
     str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
@@ -42,7 +43,20 @@ TopicsOption = Annotated[
         show_default="the one that fits",
     ),
 ]
+ColumnsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--columns",
+        metavar="MAP",
+        help="A .yaml file that says what columns of other names and units mean, or which topics "
+        "of a bag.",
+        show_default="the names of docs/recordings.md",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+VerboseOption = Annotated[
+    bool, typer.Option("--verbose", help="Print all figures, as tables, after the summary.")
+]
 DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
 ]
@@ -109,8 +123,25 @@ def print_json(content: Any) -> None:
     print(json.dumps(content, indent=2))
 
 
+def print_summary(
+    title: str, lines: Sequence[str], content: Mapping[str, Any], *, as_json: bool, verbose: bool
+) -> None:
+    """Print a result in some lines; with all figures as tables if `verbose`, or as JSON."""
+    if as_json:
+        print_json(content)
+        return
+    console = Console(soft_wrap=True, markup=False, highlight=False)
+    console.print(title)
+    for line in lines:
+        console.print(f"  {line}")
+    if verbose:
+        print_result(title, content, as_json=False)
+    else:
+        console.print("all figures: --verbose or --json")
+
+
 def print_result(title: str, content: Mapping[str, Any], as_json: bool) -> None:
-    """Print plain values: as JSON, or as tables whose headings are the keys.
+    """Print plain values: as JSON, or as tables whose headings are the keys in words.
 
     Keys carry the units. A collection of mappings becomes a table with a row for each.
     """
@@ -129,7 +160,8 @@ def titled_table(
         title=title, title_justify="left", header_style="bold", show_header=bool(headings)
     )
     for heading in headings:
-        table.add_column(heading, justify="right" if heading in right else "left")
+        column = worded(heading)
+        table.add_column(column, justify="right" if heading in right else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
@@ -146,7 +178,7 @@ def _tables(title: str, content: Mapping[Any, Any]) -> Iterator[Table]:
         table.add_column(overflow="fold")
         for name, value in plain.items():
             if value != []:
-                table.add_row(str(name), _shown(value))
+                table.add_row(worded(str(name)), _shown(value))
         yield table
     if nested and all(isinstance(value, Mapping) for value in content.values()):
         parted = {name: _parted(value) for name, value in nested.items()}
@@ -160,7 +192,7 @@ def _tables(title: str, content: Mapping[Any, Any]) -> Iterator[Table]:
         nested = {f"{name}, {k}": v for name, (_, rest) in parted.items() for k, v in rest.items()}
     for name, value in nested.items():
         entries = value if isinstance(value, Mapping) else dict(enumerate(value, start=1))
-        yield from _tables(f"{title}: {name}", entries)
+        yield from _tables(f"{title}: {worded(str(name))}", entries)
 
 
 def _parted(content: Mapping[Any, Any]) -> tuple[dict[Any, Any], dict[Any, Any]]:
@@ -182,7 +214,7 @@ _LISTED = 16
 
 def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_shown(each)}" for name, each in value.items())
+        return "; ".join(f"{worded(str(name))} {_shown(each)}" for name, each in value.items())
     if isinstance(value, list | tuple):
         if len(value) > 1 and len(set(value)) == 1:
             return f"{_shown(value[0])} each"

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from cablesense_base.files import output_file
 from cablesense_ros.cli.options import (
+    ColumnsOption,
     ForceOption,
     JsonOption,
     OptionError,
@@ -185,6 +186,7 @@ def check(
         typer.Option(min=0.1, max=10_000.0, help="Right rate, Hz.", show_default="the arm file's"),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Live: of the arm's nodes.")] = "",
+    columns: ColumnsOption = None,
     json_output: JsonOption = False,
 ) -> None:
     """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
@@ -200,12 +202,14 @@ def check(
 
     from cablesense_online.sensor_check import check_sensors, expectation
     from cablesense_recording.checks import read_recording
+    from cablesense_recording.column_map import read_column_map
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)
     names = described.cable_names
     expected = expectation(described.sensors, rate)
     if recording is None:
+        refuse_given(context, ["columns"], "without a recording")
         from cablesense_ros.recorder import capture_tensions
 
         pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
@@ -219,7 +223,9 @@ def check(
         report = check_sensors(readings, names, expected, pulls)
     else:
         refuse_given(context, ["pull", "seconds", "namespace"], "on a recording")
-        report = check_sensors(read_recording(recording, described), names, expected)
+        meant = None if columns is None else read_column_map(columns, described).unloaded
+        readings = read_recording(recording, described, columns=meant)
+        report = check_sensors(readings, names, expected)
     if json_output:
         print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:

@@ -17,9 +17,12 @@ from cablesense_ros.cli.options import (
     DaskOption,
     ForceOption,
     JsonOption,
+    VerboseOption,
     print_result,
+    print_summary,
     refuse_given,
 )
+from cablesense_ros.cli.summaries import training_lines
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 PoseOption = Annotated[
@@ -192,6 +195,7 @@ def train(
     ] = 2,
     out: Annotated[Path, typer.Option(help="The model file to write.")] = Path("model.onnx"),
     force: ForceOption = False,
+    verbose: VerboseOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Train a network of the paper for an arm and write it as one ONNX file.
@@ -250,7 +254,9 @@ def train(
             command=command_line("train", command),
             on_epoch=on_epoch,
         )
-    print_result(f"{network}, arm {description.identity}", report.as_json(), json_output)
+    content = report.as_json()
+    title = f"{network}, arm {description.identity}"
+    print_summary(title, training_lines(content), content, as_json=json_output, verbose=verbose)
 
 
 def command_line(verb: str, options: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 from lifecycle_msgs.msg import Transition
 
 from cablesense_sim.arm import open_arm
-from cablesense_sim.model import urdf_xml
+from cablesense_sim.urdf import urdf_xml
 
 PACKAGE = "cablesense_ros"
 SWITCH = ("true", "false")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen, own_cables, shape
 from cablesense_sim.mechanism import (
@@ -14,6 +13,7 @@ from cablesense_sim.mechanism import (
     with_cables_moved,
     with_plates_moved,
 )
+from cablesense_sim.rotations import rotation_matrix
 
 _LEAST_KG = 1e-9
 """Mass of a segment, at least: its centre is a ratio of two moments."""
@@ -33,8 +33,10 @@ class BaseTilt(Effect):
     )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        tilt = Rotation.from_euler("yx", [values["pitch_rad"], values["roll_rad"]])
-        return replace(mechanism, gravity_m_s2=tilt.inv().apply(mechanism.gravity_m_s2))
+        pitch = rotation_matrix(np.array([0.0, values["pitch_rad"], 0.0]))
+        roll = rotation_matrix(np.array([values["roll_rad"], 0.0, 0.0]))
+        tilt = roll @ pitch
+        return replace(mechanism, gravity_m_s2=tilt.T @ mechanism.gravity_m_s2)
 
 
 class CableStiffness(Effect):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array
 from cablesense_sim.effects.effect import (
@@ -17,6 +16,7 @@ from cablesense_sim.effects.effect import (
     shape,
     shifted,
 )
+from cablesense_sim.rotations import rotation_matrix
 
 
 class SensorOffset(Effect):
@@ -268,5 +268,5 @@ class LoadCell(Effect):
     )
 
     def loading(self, place: str, values: Values) -> Array:
-        turn = Rotation.from_rotvec(np.stack([values[f"turn_{a}_rad"] for a in "xyz"], axis=-1))
-        return np.asarray((1.0 + values["scale"])[:, None, None] * turn.as_matrix())
+        turn = rotation_matrix(np.stack([values[f"turn_{a}_rad"] for a in "xyz"], axis=-1))
+        return np.asarray((1.0 + values["scale"])[:, None, None] * turn)

@@ -77,16 +77,16 @@ def ros_modules() -> set[str]:
 @pytest.mark.parametrize(
     ("folders", "extras"),
     [
-        (["cablesense_base", "cablesense_msgs_py", "cablesense_sim"], [""]),
-        (["cablesense_contact"], [""]),
+        (["cablesense_base", "cablesense_msgs_py", "cablesense_contact"], [""]),
+        (["cablesense_sim"], ["", "sim"]),
         (["cablesense_recording"], ["", "gap"]),
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_plants"], ["", "gap"]),
-        (["examples", "paper"], ["", "gap", "train", "ros"]),
-        (["cablesense_online"], ["", "page", "can", "gap"]),
-        (["cablesense_ros"], ["", "page", "ros", "can", "gap", "train"]),
-        (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),
+        (["examples", "paper"], ["", "gap", "train", "demo"]),
+        (["cablesense_online"], ["", "page", "robot", "gap"]),
+        (["cablesense_ros"], ["", "demo", "gap", "train"]),
+        (["tests", "benchmarks"], ["", "demo", "train", "gap", "dev"]),
     ],
     ids=lambda value: "+".join(value),
 )
@@ -94,7 +94,7 @@ def test_every_import_is_declared(
     folders: list[str], extras: list[str], ros_modules: set[str]
 ) -> None:
     names_here = {path.stem for folder in folders for path in (CHECKOUT / folder).rglob("*")}
-    for module in imported(*folders) - names_here - (ros_modules if "ros" in extras else set()):
+    for module in imported(*folders) - names_here - (ros_modules if "demo" in extras else set()):
         assert distributions_of(module) & declared(*extras), f"{module}: declare it in setup.py"
 
 
@@ -102,7 +102,7 @@ def test_every_import_is_declared(
 def test_every_declared_distribution_is_imported() -> None:
     used = {name for module in imported(*PACKAGES) for name in distributions_of(module)}
     by_others = {"onnxscript", "ros-jazzy-common-interfaces", "ros-jazzy-rclpy"}
-    assert declared("", "page", "can", "train", "gap") - by_others <= used
+    assert declared("", "demo", "train", "gap") - by_others <= used
 
 
 def test_the_ros_manifest_names_every_message_package(ros_modules: set[str]) -> None:

@@ -1,5 +1,4 @@
-"""An arm by its arm file, and by the MJCF that CableSense writes of it, gives the same "
-"estimates."""
+"""An arm by its arm file, and by the MJCF that CableSense writes, gives the same estimates."""
 
 from pathlib import Path
 

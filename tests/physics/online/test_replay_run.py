@@ -123,7 +123,12 @@ def test_estimates_are_written(whole, tmp_path):
     assert len(rows) == 300
     touched = [row for row in rows if row["segment"] == "3"]
     assert 50 < len(touched) < 250
-    assert all(abs(float(row["magnitude_n"]) - 21.2) < 3.0 for row in touched[40:])
+    for row in touched[40:]:
+        assert abs(float(row["magnitude_n"]) - 21.2) < 3.0
+        assert float(row["magnitude_low_n"]) <= float(row["magnitude_n"])
+        assert (
+            0.0 <= float(row["place_low_m"]) <= float(row["place_m"]) <= float(row["place_high_m"])
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["estimates.csv"]
 
 

@@ -10,7 +10,8 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import amended, checked_entry
-from cablesense_sim.model import build_spec, unstretched_length_m, urdf_xml
+from cablesense_sim.model import build_spec, unstretched_length_m
+from cablesense_sim.urdf import urdf_xml
 from tests.helpers.arm_variants import variant
 from tests.helpers.joint_torques import load_torques_n_m
 

@@ -64,6 +64,8 @@ def test_a_terminal_without_some_letters_shows_the_others(encoding, words):
     [
         (["info", "nonsense"], "bundled arms are cdsm"),
         (["info", "missing.yaml"], "no arm file missing.yaml"),
+        (["info", "robot.xml"], "gap diagnose, adapt, predict, protocol and watch take it"),
+        (["estimate", "missing.csv"], "missing.csv: no such file"),
         (["info", "missing.onnx"], "no model file missing.onnx"),
         (["info", "broken.onnx"], "not a valid ONNX file"),
         (["evaluate", "--model", "nonsense"], "bundled models are"),
@@ -85,6 +87,7 @@ def test_a_terminal_without_some_letters_shows_the_others(encoding, words):
 )
 def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, command, tmp_path):
     (tmp_path / "broken.onnx").write_bytes(b"not a model")
+    (tmp_path / "robot.xml").write_text("<mujoco/>")
     write_arm(tmp_path / "own.yaml", variant({"name": "own"}), "")
     result = command(*arguments)
     assert result.returncode == 2
@@ -92,7 +95,8 @@ def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, command, tmp_p
     assert len(lines) == 1
     assert lines[0].startswith("cablesense: ")
     assert remedy in lines[0]
-    assert {path.name for path in tmp_path.iterdir()} == {"broken.onnx", "own.yaml"}
+    given = {"broken.onnx", "robot.xml", "own.yaml"}
+    assert {path.name for path in tmp_path.iterdir()} == given
 
 
 @pytest.mark.slow

@@ -37,9 +37,26 @@ def test_an_arm_is_described_with_its_cables() -> None:
     assert ends == [1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4]
     assert [cable["angle_deg"] for cable in arm["cables"][3:6]] == [30.0, 270.0, 150.0]
     assert arm["cables"][0]["radius_m"] == pytest.approx(0.05)
-    table = shown("cdsm_table2")
+    assert "9 cables" in shown("cdsm_table2")
+    table = shown("cdsm_table2", "--verbose")
     assert "cable_9" in table
     assert "cable_10" not in table
+
+
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_table2", "config/models/cdsm_anywhere.onnx"])
+def test_what_an_arm_or_a_model_is_takes_some_lines_without_keys(name: str) -> None:
+    lines = shown(name).splitlines()
+    assert len(lines) <= 9
+    said = " ".join(lines)
+    for key in ("noise_std_n", "stiffness_n_m", "size_bytes", "arm_identity"):
+        assert key not in said
+
+
+def test_effects_begin_with_a_list() -> None:
+    lines = shown("--effects").splitlines()
+    for name, effect in known_effects().items():
+        assert any(name in line and effect.about in line for line in lines)
+    assert shown("--effects", "--verbose").splitlines()[: len(lines) - 1] == lines[:-1]
 
 
 def test_a_sample_rate_in_another_unit_is_questioned(tmp_path: Path) -> None:
@@ -68,7 +85,7 @@ def test_an_arm_file_shows_the_effects_that_it_lists(tmp_path: Path) -> None:
 
 def test_the_catalogue_has_every_effect_with_its_parameters() -> None:
     listed = described("--effects")["effects"]
-    table = shown("--effects")
+    table = shown("--effects", "--verbose")
     assert set(listed) == set(known_effects())
     for name, effect in known_effects().items():
         names = [parameter.name for parameter in effect.parameters]
@@ -126,5 +143,13 @@ def test_a_table_shows_every_value_of_a_result(capsys: pytest.CaptureFixture) ->
     assert json.loads(capsys.readouterr().out) == result
     print_result("Result", result, as_json=False)
     table = capsys.readouterr().out
-    for words in ("mine", "mae_n 0.25, none –", "1.5, 2.5", "7 each", "soft", "low_n", "1235"):
+    for words in (
+        "mine",
+        "mean error, N 0.25; none –",
+        "1.5, 2.5",
+        "7 each",
+        "soft",
+        "low, N",
+        "1235",
+    ):
         assert words in table

@@ -34,7 +34,8 @@ def prefix(tmp_path_factory):
         if script.module.startswith(f"{PACKAGE}."):
             program = programs / script.name
             program.write_text(
-                f"#!{sys.executable}\nfrom {script.module} import main\nraise SystemExit(main())\n"
+                f"#!{sys.executable}\nfrom {script.module} import {script.attr} as main\n"
+                "raise SystemExit(main())\n"
             )
             program.chmod(0o755)
     return root

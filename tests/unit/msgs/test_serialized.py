@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.serialized import MAX_MESSAGE_BYTES, EffortReader, WrenchWriter, stamp_ns
+from cablesense_msgs_py.serialized import (
+    MAX_MESSAGE_BYTES,
+    EffortReader,
+    EffortWriter,
+    WrenchWriter,
+    stamp_ns,
+)
 from cablesense_msgs_py.topics import ContractError
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -46,6 +52,19 @@ def big_endian(names, effort, stamp=(5, 7)):
 def test_reads_what_rclpy_writes(names, position, velocity, effort, frame):
     read = EffortReader().read(serialized(names, effort, frame, position, velocity))
     assert read == (5_000_000_007, tuple(names), tuple(effort))
+
+
+@given(NAMES, st.data())
+def test_writes_what_rclpy_reads(names, data):
+    effort = data.draw(
+        st.lists(st.floats(allow_nan=False), min_size=len(names), max_size=len(names))
+    )
+    raw = EffortWriter(names).write(5_000_000_007, effort)
+    message = serialization.deserialize_message(raw, sensor_msgs.JointState)
+    assert (list(message.name), list(message.effort)) == (names, effort)
+    assert not message.position
+    assert not message.velocity
+    assert EffortReader().read(raw) == (5_000_000_007, tuple(names), tuple(effort))
 
 
 @given(NAMES, VALUES)

@@ -1,0 +1,40 @@
+"""Answers as rows of a table: what is stated of each sample, with its interval and its place."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cablesense_online.answer import Answer
+
+ANSWER_COLUMNS: Final = (
+    "state",
+    "segment",
+    "angle_deg",
+    "magnitude_n",
+    "magnitude_low_n",
+    "magnitude_high_n",
+    "place_m",
+    "place_low_m",
+    "place_high_m",
+)
+"""Angle, force and place of the stated contact are empty without one. The ends of the force's 95 %
+interval are empty without an estimate; without a contact the upper one may act unseen."""
+NO_CELL = ""
+
+
+def answer_cells(answer: Answer) -> list[object]:
+    """The cells of `ANSWER_COLUMNS` for one answer; `segment` is 0 without a contact."""
+    contact = answer.contact
+    bounds = answer.bounds
+    region_m = answer.region_m
+    stated: list[object] = [NO_CELL, NO_CELL]
+    if contact.segment:
+        stated = [contact.angle_deg, contact.magnitude_n]
+    ends: list[object] = [NO_CELL, NO_CELL]
+    if bounds is not None:
+        ends = [bounds[0].magnitude_n, bounds[1].magnitude_n]
+    place: list[object] = [NO_CELL, NO_CELL, NO_CELL]
+    if contact.segment:
+        low_m, high_m = region_m or (NO_CELL, NO_CELL)
+        place = [contact.contact_m, low_m, high_m]
+    return [answer.force.value, contact.segment, *stated, *ends, *place]

@@ -1,0 +1,184 @@
+"""The columns of somebody else's recording: which hold what of an arm, and in which units.
+
+A YAML file names them (docs/recordings.md, Columns of your own). Whatever it leaves out has the
+name that a recording of ours has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import model_validator
+
+from cablesense_base import some_of
+from cablesense_base.files import read_bounded_text
+from cablesense_base.plain_yaml import FilePart, Number, read_plain
+from cablesense_recording.channels import (
+    LOAD,
+    LOAD_AT,
+    LOAD_SEGMENT,
+    TIME,
+    command_columns,
+    tension_columns,
+)
+from cablesense_recording.recording import RecordingError
+from cablesense_sim.arm import Arm
+
+MAX_FILE_BYTES = 100_000
+FORCE_UNITS: Final = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+    "gf": 9.80665e-3,
+    "kgf": 9.80665,
+    "lbf": 4.4482216152605,
+}
+ANGLE_UNITS: Final = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
+TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+
+
+class TimeColumn(FilePart):
+    """The time of a CSV file; a bag has its messages'."""
+
+    column: str = TIME
+    unit: str = "s"
+
+
+class Channels(FilePart):
+    """The channels of all cables, or of all joint angles.
+
+    Attributes:
+        columns: their names, in the order of the arm's cables, or pitch and yaw of each joint.
+        unit: of the numbers.
+        scale: the numbers are multiplied by it too; -1 turns signs.
+        topic: of a bag, the messages that hold them: `sensor_msgs/JointState`, or one with `data`.
+        field: of such a `JointState`.
+        held: in place of columns: the values that hold all the time.
+    """
+
+    columns: tuple[str, ...] = ()
+    unit: str = ""
+    scale: Number = 1.0
+    topic: str = ""
+    field: Literal["position", "velocity", "effort", "data", ""] = ""
+    held: tuple[Number, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Channels:
+        if self.held and (self.columns or self.topic):
+            raise ValueError("= held: the values that hold all the time leave no columns or topic")
+        return self
+
+
+class Loads(FilePart):
+    """Known loads, which a diagnosis needs.
+
+    Attributes:
+        segment: the column of the segment, 0 without a load.
+        force: the columns of the load's components, base frame.
+        unit: of these.
+        at: the column of the place on the segment; empty where all act at its contact point.
+        at_unit: of this.
+    """
+
+    segment: str = LOAD_SEGMENT
+    force: tuple[str, str, str] = LOAD
+    unit: str = "N"
+    at: str = ""
+    at_unit: str = "m"
+
+
+class ColumnMap(FilePart):
+    """All that a recording's columns mean.
+
+    Attributes:
+        trial: the column of the trial; empty where there is none, and trials are derived.
+        loads: None where no load is known.
+    """
+
+    time: TimeColumn = TimeColumn()
+    tensions: Channels = Channels()
+    commands: Channels = Channels()
+    trial: str = ""
+    loads: Loads | None = None
+
+    def tension_columns(self, arm: Arm) -> Sequence[str]:
+        """The columns of the arm's M cables."""
+        return self.tensions.columns or tension_columns(arm.cable_count)
+
+    def command_columns(self, arm: Arm) -> Sequence[str]:
+        """The columns of the arm's 2N joint angles; none where they are held."""
+        return self.commands.columns or command_columns(arm.joint_count)
+
+    @property
+    def with_loads(self) -> ColumnMap:
+        """The same with known loads, in columns of our names where the map has none."""
+        return self if self.loads else self.model_copy(update={"loads": Loads(at=LOAD_AT)})
+
+    @property
+    def unloaded(self) -> ColumnMap:
+        """The same without loads and trials."""
+        return self.model_copy(update={"trial": "", "loads": None})
+
+    @property
+    def newtons(self) -> float:
+        """What one unit of a tension is, N."""
+        return FORCE_UNITS[self.tensions.unit or "N"] * self.tensions.scale
+
+    @property
+    def radians(self) -> float:
+        """What one unit of a commanded angle is, rad."""
+        return ANGLE_UNITS[self.commands.unit or "rad"] * self.commands.scale
+
+    @property
+    def seconds(self) -> float:
+        """What one unit of time is, s."""
+        return TIME_UNITS[self.time.unit]
+
+
+def read_column_map(path: str | Path, arm: Arm) -> ColumnMap:
+    """The map in a YAML file, for an arm.
+
+    Raises:
+        RecordingError: unreadable, an unknown key or unit, or not as many columns as the arm has
+            cables or joint angles.
+    """
+    text = read_bounded_text(path, MAX_FILE_BYTES, "a map of columns (.yaml)", RecordingError)
+    described = read_plain(text, str(path), ColumnMap, RecordingError)
+    _require_unit(path, "tensions.unit", described.tensions.unit, FORCE_UNITS)
+    _require_unit(path, "commands.unit", described.commands.unit, ANGLE_UNITS)
+    _require_unit(path, "time.unit", described.time.unit, TIME_UNITS)
+    if described.loads is not None:
+        _require_unit(path, "loads.unit", described.loads.unit, FORCE_UNITS)
+        _require_unit(path, "loads.at_unit", described.loads.at_unit, LENGTH_UNITS)
+    _require_count(path, "tensions.columns", described.tensions.columns, arm.cable_names, arm)
+    _require_count(path, "commands.columns", described.commands.columns, arm.joint_names, arm)
+    _require_count(path, "commands.held", described.commands.held, arm.joint_names, arm)
+    if described.tensions.held:
+        raise RecordingError(f"{path}: tensions.held: readings are never constant; name columns")
+    return described
+
+
+def _require_unit(path: str | Path, key: str, unit: str, units: Mapping[str, float]) -> None:
+    if unit and unit not in units:
+        raise RecordingError(
+            f"{path}: {key} = {unit[:40]!r}: must be one of {', '.join(units)}; any other is one "
+            "of these times a scale"
+        )
+
+
+def _require_count(
+    path: str | Path, key: str, given: Sequence[object], names: Sequence[str], arm: Arm
+) -> None:
+    if given and len(given) != len(names):
+        raise RecordingError(
+            f"{path}: {key} has {len(given)} entries; arm {arm.name} needs {len(names)}, in the "
+            f"order {some_of(names, 4)}"
+        )
+    repeated = [each for each in given if isinstance(each, str) and given.count(each) > 1]
+    if repeated:
+        raise RecordingError(f"{path}: {key} names {repeated[0][:40]!r} twice; once is right")

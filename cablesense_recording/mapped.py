@@ -1,0 +1,198 @@
+"""Recordings with columns of any names and units, read by a map of them (`column_map`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array, some_of
+from cablesense_base.files import plain_name
+from cablesense_recording.column_map import FORCE_UNITS, LENGTH_UNITS, Channels, ColumnMap
+from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.mcap_file import decoded, is_bag
+from cablesense_recording.mcap_messages import RawMessage
+from cablesense_recording.recording import (
+    MAX_NUMBERS,
+    Recording,
+    RecordingError,
+    derive_trials,
+    given_places,
+    one_clock,
+)
+from cablesense_sim.arm import Arm
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def read_mapped(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
+    """Read a CSV file, a .mcap file or a rosbag2 folder by a map of its columns.
+
+    Without loads in the map there is none in any row; without trials these are derived. Of a bag
+    each message of tensions is one row, with the latest command before it.
+
+    Raises:
+        RecordingError: no recording, or it lacks what the map names.
+    """
+    if path.name.lower().endswith(CSV_ENDINGS):
+        return _read_csv(path, arm, columns)
+    if is_bag(path):
+        return _read_bag(path, arm, columns)
+    raise RecordingError(
+        f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"
+    )
+
+
+def _read_csv(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
+    tensions = columns.tension_columns(arm)
+    commands = () if columns.commands.held else columns.command_columns(arm)
+    wanted = [columns.time.column, *tensions, *commands]
+    wanted += [columns.trial] if columns.trial else []
+    loads = columns.loads
+    if loads is not None:
+        wanted += [loads.segment, *loads.force]
+    optional = [loads.at] if loads is not None and loads.at else []
+    values = read_table(path, [*wanted, *optional])
+    missing = [name for name in wanted if name not in values]
+    if missing:
+        raise RecordingError(
+            f"{path}: has no column {some_of(missing)}; name its columns in a map (--columns)"
+        )
+    count = len(values[columns.time.column])
+    time = values[columns.time.column] - values[columns.time.column][:1]
+    place_m = None
+    segment = np.zeros(count, dtype=np.int64)
+    load_n = np.zeros((count, 3))
+    if loads is not None:
+        segment = _whole(path, loads.segment, values[loads.segment])
+        load_n = _stacked(values, loads.force) * FORCE_UNITS[loads.unit]
+        if loads.at in values:
+            place_m = given_places(values[loads.at] * LENGTH_UNITS[loads.at_unit])
+    trial = _whole(path, columns.trial, values[columns.trial]) if columns.trial else None
+    held_rad = np.tile(columns.commands.held, (count, 1)) * columns.radians
+    return _recording(
+        csv_stem(path),
+        time * columns.seconds,
+        _stacked(values, commands) * columns.radians if commands else held_rad,
+        _stacked(values, tensions) * columns.newtons,
+        segment,
+        load_n,
+        place_m,
+        trial,
+    )
+
+
+def _read_bag(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
+    if columns.loads is not None or columns.trial:
+        raise RecordingError(
+            f"{path}: known loads and trials of a bag are not read by a map of columns; name its "
+            "topics as the contract does (cable_tensions, joint_commands, applied_wrench, "
+            "trial), or write the recording as CSV"
+        )
+    tension_topic = columns.tensions.topic or "/cable_tensions"
+    command_topic = columns.commands.topic or "/joint_commands"
+    held = columns.commands.held
+    command: Array | None = np.array(held) if held else None
+    times_ns: list[tuple[int, int]] = []
+    commands: list[Array] = []
+    tensions: list[Array] = []
+    topics: set[str] = set()
+
+    def wanted(raw: RawMessage) -> bool:
+        topics.add(raw.topic)
+        return raw.topic in (tension_topic, command_topic)
+
+    most_rows = MAX_NUMBERS // (7 + arm.joint_count + arm.cable_count)
+    for raw, message in decoded(path, wanted):
+        if raw.topic == command_topic and not held:
+            command = _numbers(path, raw, message, columns.commands, arm.joint_names, "position")
+        if raw.topic == tension_topic and command is not None:
+            times_ns.append((raw.log_ns, _stamp_ns(message)))
+            commands.append(command)
+            tensions.append(
+                _numbers(path, raw, message, columns.tensions, arm.cable_names, "effort")
+            )
+        if len(times_ns) > most_rows:
+            raise RecordingError(f"{path}: more than {most_rows} samples; split it")
+    if not times_ns:
+        present = some_of(sorted(topics), 8) or "nothing"
+        needed = tension_topic if held else f"{tension_topic} after {command_topic}"
+        raise RecordingError(f"{path}: has no message on {needed}, but {present}")
+    logs_ns, stamps_ns = np.array(times_ns, dtype=np.int64).T
+    clock_ns, _ = one_clock(logs_ns, stamps_ns)
+    count = len(times_ns)
+    return _recording(
+        plain_name(path.stem),
+        (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9,
+        np.array(commands) * columns.radians,
+        np.array(tensions) * columns.newtons,
+        np.zeros(count, dtype=np.int64),
+        np.zeros((count, 3)),
+        None,
+        None,
+    )
+
+
+def _recording(
+    name: str,
+    time_s: Array,
+    command_rad: Array,
+    tensions_n: Array,
+    segment: NDArray[np.int64],
+    load_n: Array,
+    place_m: Array | None,
+    trial: NDArray[np.int64] | None,
+) -> Recording:
+    if trial is None:
+        trial = derive_trials(time_s, command_rad, segment, load_n, place_m)
+    return Recording(name, time_s, trial, command_rad, segment, load_n, tensions_n, place_m)
+
+
+def _numbers(
+    path: Path,
+    raw: RawMessage,
+    message: Any,
+    channels: Channels,
+    names: Sequence[str],
+    usual_field: str,
+) -> Array:
+    """The numbers of one message, in the arm's order."""
+    if raw.kind == _JOINT_STATE:
+        values = list(getattr(message, channels.field or usual_field))
+        by_name = dict(zip(message.name, values, strict=False))
+        wanted = channels.columns or names
+        missing = [name for name in wanted if name not in by_name]
+        if missing:
+            raise RecordingError(
+                f"{path}: {raw.topic}: {channels.field or usual_field} has no value of "
+                f"{some_of(missing)}, but of {some_of(list(by_name), 4) or 'none'}"
+            )
+        return np.array([by_name[name] for name in wanted], dtype=float)
+    data = getattr(message, "data", None)
+    if data is None or np.size(data) != len(names):
+        raise RecordingError(
+            f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; needed is {_JOINT_STATE}, or an "
+            f"array of {len(names)} numbers in its field data"
+        )
+    return np.asarray(data, dtype=float).ravel()
+
+
+def _stamp_ns(message: Any) -> int:
+    header = getattr(message, "header", None)
+    return 0 if header is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def _stacked(values: dict[str, Array], names: Sequence[str]) -> Array:
+    return np.stack([values[name] for name in names], axis=1)
+
+
+def _whole(path: Path, name: str, column: Array) -> NDArray[np.int64]:
+    bad = np.flatnonzero(~(column == np.round(column)) | (np.abs(column) > 1e9))
+    if bad.size:
+        raise RecordingError(
+            f"{path}: row {bad[0] + 1}, column {name}: {column[bad[0]]:g} is no whole number"
+        )
+    return column.astype(np.int64)
