@@ -197,7 +197,11 @@ class Judge:
 
 
 def _force_is_known(seen: LawOutput) -> bool:
-    """Whether readings determine the lateral force; else the moment about the joint is known."""
+    """Whether readings determine the lateral force; else the moment about the joint is known.
+
+    Near the joint a force may be any, so that its mean is far outside its interval.
+    """
     low_n, high_n = seen.magnitude_ci95_n[0].tolist()
     size_n = float(np.hypot(*seen.force_n[0, 1:]))
-    return 0.5 * (high_n - low_n) <= max(_KNOWN_N, _KNOWN_SHARE * size_n)
+    narrow = 0.5 * (high_n - low_n) <= max(_KNOWN_N, _KNOWN_SHARE * size_n)
+    return narrow and low_n <= size_n <= high_n
