@@ -110,6 +110,7 @@ def adapt(
     on_finding: Callable[[str], None] = lambda _: None,
     *,
     force: bool = False,
+    announce: Callable[[float], None] = lambda _: None,
 ) -> Adaptation:
     """Diagnose a recording, and judge the estimator in use and that of the amended arm.
 
@@ -120,13 +121,10 @@ def adapt(
         AdaptationError: too few loads to withhold some.
     """
     unseen = withheld_trials(recording, arm)
-    diagnosed = 0.9  # of the whole time
-
-    def show(doing: str, done: float) -> None:
-        progress(doing, diagnosed * done)
-
-    diagnosis = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
-    progress("judging the estimators", diagnosed)
+    diagnosis = diagnose(
+        recording, arm, progress, workers, on_finding, unseen, force=force, announce=announce
+    )
+    progress("judging the estimators", 1.0)
     adapted = adapt_to(diagnosis, recording, unseen, first or TorchLaw(arm))
     progress("done", 1.0)
     return adapted

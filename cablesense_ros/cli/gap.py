@@ -132,21 +132,22 @@ def diagnose(
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
         read = partial(read_recording, robot=robot, topics=topic or (), force=force)
-        recorded = read(recording)
-        healthy = None if reference is None else read(reference)
-        with diagnosis_progress(console) as (show, _):
+        with diagnosis_progress(console) as progress:
+            recorded = read(recording)
+            healthy = None if reference is None else read(reference)
             diagnosis = make(
                 recorded,
                 robot,
                 beside,
                 bandwidth,
-                show,
+                progress.show,
                 workers,
                 forward,
                 zeroed=zeroed,
                 external=positions == "external",
                 force=force,
                 reference=healthy,
+                announce=progress.announce,
             )
         given = Given(str(recording), str(model), str(out), external=positions == "external")
         write_robot_diagnosis(out, diagnosis, given)
@@ -197,8 +198,17 @@ def _diagnosed_arm(
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal, topics)
     healthy = None if reference is None else read_recording(reference, nominal, topics)
-    with diagnosis_progress(console) as (show, warn):
-        diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
+    with diagnosis_progress(console) as progress:
+        diagnosis = make(
+            recorded,
+            nominal,
+            progress.show,
+            workers,
+            progress.warn,
+            reference=healthy,
+            force=force,
+            announce=progress.announce,
+        )
     given = Given(str(recording), arm, str(out))
     write_diagnosis(out, diagnosis, given=given)
     lines = [*recorded.notes, headline(diagnosis.verdict)]
@@ -376,8 +386,17 @@ def adapt(
     console = Console(stderr=json_output)
     adapted_model = out / ADAPTED_MODEL
     calibration = out / CALIBRATION
-    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
-        adaptation = make(recorded, nominal, first, show, workers, warn, force=force)
+    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as progress:
+        adaptation = make(
+            recorded,
+            nominal,
+            first,
+            progress.show,
+            workers,
+            progress.warn,
+            force=force,
+            announce=progress.announce,
+        )
         exported = Path(folder) / ADAPTED_MODEL
         adaptation, refused = _exported(adaptation, exported, shlex.join(words))
         made = adaptation.adapted
