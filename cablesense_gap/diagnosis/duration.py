@@ -30,9 +30,9 @@ STAGES = (
 HISTORY_SHARE = 0.05
 """Least share of a residual by friction or creep that shows where commands and load return."""
 
-_PREPARATIONS = 3.5
+_PREPARATIONS = 7.0
 """Times the preparation, that effects without a memory take on one process."""
-_COURSES = 300.0
+_COURSES = 200.0
 """Courses of an arm with history-dependent effects that their fits take on one process."""
 
 
