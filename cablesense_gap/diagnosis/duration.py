@@ -32,7 +32,7 @@ HISTORY_SHARE = 0.05
 
 _PREPARATIONS = 7.0
 """Times the preparation, that effects without a memory take on one process."""
-_COURSES = 200.0
+_COURSES = 450.0
 """Courses of an arm with history-dependent effects that their fits take on one process."""
 
 
