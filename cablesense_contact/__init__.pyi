@@ -19,5 +19,6 @@ from .inference.metadata import find_model as find_model
 from .judgement import ContactState as ContactState
 from .judgement import Judge as Judge
 from .judgement import Judgement as Judgement
+from .judgement import Judgements as Judgements
 from .law import Law as Law
 from .law import LawOutput as LawOutput

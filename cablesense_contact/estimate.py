@@ -43,6 +43,8 @@ class Estimate(NamedTuple):
         magnitude_n: force; without a contact, that of the likeliest segment.
         low_n, high_n: between which the force lies with 95 %, where there is a contact.
         place: of a contact anywhere; None from a network of contacts at the arm file's points.
+        misfit_n: RMS of the tension differences that no force on the arm makes.
+        plausible: whether that is little enough; if not, the rest of the estimate says nothing.
     """
 
     probabilities: Array
@@ -54,3 +56,5 @@ class Estimate(NamedTuple):
     low_n: float
     high_n: float
     place: ContactPlace | None = None
+    misfit_n: float = 0.0
+    plausible: bool = True

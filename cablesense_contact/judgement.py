@@ -12,8 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.chi_squared import limit_at
@@ -58,12 +60,30 @@ class Judgement:
         segment: of the likeliest contact, from 1 on; also where it is not stated.
         probabilities: (N + 1,) of no contact, and of a contact on each segment, among these.
         doubt: what else would explain the reading, with its size; empty without doubt.
+        force_known: whether readings determine the lateral force; else only its moment.
+        misfit: the normalised innovation squared (χ²) that what is stated leaves,
+        misfit_limit: up to which it explains the reading.
     """
 
     state: ContactState
     segment: int
     probabilities: Array
     doubt: str = ""
+    force_known: bool = False
+    misfit: float = 0.0
+    misfit_limit: float = math.inf
+
+
+class Judgements(NamedTuple):
+    """Judgements of B readings: the fields of `Judgement`, with a leading axis."""
+
+    state: NDArray[np.object_]
+    segment: NDArray[np.int64]
+    probabilities: Array
+    doubt: tuple[str, ...]
+    force_known: NDArray[np.bool_]
+    misfit: Array
+    misfit_limit: Array
 
 
 @dataclass(frozen=True)
@@ -115,18 +135,32 @@ class Judge:
         stated = max(contact, 0.0)
         others = sum(math.exp(min(rival.log_total - stated, 50.0)) for rival in rivals)
         doubted = others / (1.0 + others) > DOUBTED_ABOVE
+        misfit = float((seen.contact_chi2 if touched else seen.free_chi2)[0])
         numbers = seen.innovation_n.shape[1]
-        if touched:
-            fits = float(seen.contact_chi2[0]) <= largest_chi2(numbers - _CONTACT_NUMBERS)
-        else:
-            fits = float(seen.free_chi2[0]) <= largest_chi2(numbers)
+        limit = largest_chi2(numbers - _CONTACT_NUMBERS if touched else numbers)
+        fits = misfit <= limit
         state, doubt = self._state(best, known, touched=touched, doubted=doubted, fits=fits)
         if doubt and best.log_weight < stated - 5.0:
             doubt = "no single contact and no single fault explains the reading"
         if state in (ContactState.CONTACT, ContactState.MOMENT) and self._slips(seen):
             state = ContactState.UNCONFIRMED
             doubt = "several contacts: a single one would push along the arm more than it can rub"
-        return Judgement(state, segment + 1, probabilities, doubt)
+        return Judgement(state, segment + 1, probabilities, doubt, known, misfit, limit)
+
+    def batch(self, seen: LawOutput, readings_n: Array) -> Judgements:
+        """The judgements of readings (B, M), with all that those of single ones state."""
+        judged = [self(seen.row(row), reading_n) for row, reading_n in enumerate(readings_n)]
+        state = np.empty(len(judged), dtype=object)
+        state[:] = [each.state for each in judged]
+        return Judgements(
+            state=state,
+            segment=np.array([each.segment for each in judged], dtype=np.int64),
+            probabilities=np.array([each.probabilities for each in judged]),
+            doubt=tuple(each.doubt for each in judged),
+            force_known=np.array([each.force_known for each in judged], dtype=bool),
+            misfit=np.array([each.misfit for each in judged]),
+            misfit_limit=np.array([each.misfit_limit for each in judged]),
+        )
 
     def _state(
         self, best: _Rival, known: bool, *, touched: bool, doubted: bool, fits: bool
@@ -143,10 +177,14 @@ class Judge:
         return (ContactState.CONTACT if known else ContactState.MOMENT), ""
 
     def _force_is_known(self, seen: LawOutput) -> bool:
-        """Whether readings determine the lateral force; else the moment about the joint is."""
+        """Whether readings determine the lateral force; else the moment about the joint is.
+
+        Near the joint a force may be any, so that its mean is far outside its interval.
+        """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
-        return 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
+        narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
+        return narrow and low_n <= size_n <= high_n
 
     def _link(self, number: int) -> str:
         """A link's name in a sentence: `segment 2` of an arm."""

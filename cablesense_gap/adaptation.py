@@ -31,7 +31,7 @@ from cablesense_gap.recorded_contacts import (
     with_acting_loads,
 )
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import EstimatorErrors
+from cablesense_gap.verdict import DECIDING_ERROR, EstimatorErrors
 from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.registry import known_effects
@@ -42,10 +42,8 @@ from cablesense_training.law_export import export_law
 _MOST_TRIALS = 12
 """Trials, evenly chosen, that show what the law does not explain."""
 _ERROR_LEFT = 0.95
-"""Share of the force error that a better estimator leaves at most."""
-_CONTACTS_LOST = 0.01
-"""Share of the contacts by which a better estimator may name fewer: one that names far fewer has
-small errors for the wrong reason."""
+"""Share of the wrongly stated force that a better estimator leaves at most. A contact that is not
+named counts in full, so that none is better by saying less."""
 
 
 class AdaptationError(CableSenseError):
@@ -94,6 +92,15 @@ class Adaptation:
     better: bool
     adapted: AdaptedEstimator | None
 
+    def without_the_new(self) -> Adaptation:
+        """The same where the new estimator cannot be used."""
+        errors = self.diagnosis.verdict.estimator
+        assert errors is not None
+        kept = errors.model_copy(update={"after": None, "use": "before"})
+        verdict = self.diagnosis.verdict.model_copy(update={"estimator": kept})
+        diagnosis = replace(self.diagnosis, verdict=verdict)
+        return replace(self, diagnosis=diagnosis, after=None, better=False, adapted=None)
+
 
 def adapt(
     recording: Recording,
@@ -104,6 +111,7 @@ def adapt(
     on_finding: Callable[[str], None] = lambda _: None,
     *,
     force: bool = False,
+    announce: Callable[[float], None] = lambda _: None,
 ) -> Adaptation:
     """Diagnose a recording, and judge the estimator in use and that of the amended arm.
 
@@ -114,13 +122,10 @@ def adapt(
         AdaptationError: too few loads to withhold some.
     """
     unseen = withheld_trials(recording, arm)
-    diagnosed = 0.9  # of the whole time
-
-    def show(doing: str, done: float) -> None:
-        progress(doing, diagnosed * done)
-
-    diagnosis = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
-    progress("judging the estimators", diagnosed)
+    diagnosis = diagnose(
+        recording, arm, progress, workers, on_finding, unseen, force=force, announce=announce
+    )
+    progress("judging the estimators", 1.0)
     adapted = adapt_to(diagnosis, recording, unseen, first or TorchLaw(arm))
     progress("done", 1.0)
     return adapted
@@ -244,18 +249,14 @@ def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
 
 
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
-    first = before.whole.errors
-    second = after.whole.errors
-    return (
-        second.magnitude_mae_n < _ERROR_LEFT * first.magnitude_mae_n
-        and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_LOST
-    )
+    return after.wrong_n < _ERROR_LEFT * before.wrong_n
 
 
 def _figures(errors: RecordedErrors) -> dict[str, float]:
     """Errors over loaded rows, without those that average over no row."""
     of_loads = errors.whole.errors
     figures = {
+        DECIDING_ERROR: errors.wrong_n,
         "contact_accuracy": of_loads.contact_accuracy,
         "contacts_confirmed": errors.confirmed,
         "force_mae_n": of_loads.magnitude_mae_n,

@@ -239,6 +239,7 @@ def diagnose(
     reference: Recording | None = None,
     *,
     force: bool = False,
+    announce: Callable[[float], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what makes the recorded arm differ from the nominal one.
 
@@ -255,6 +256,7 @@ def diagnose(
             figure of the verdict uses them.
         reference: of the same arm when it was healthy; the verdict says what changed since.
         force: whether to continue if channels look exchanged; the findings then say so.
+        announce: receives the seconds that the search will take, before it begins.
 
     Raises:
         RecordingError: the recording or the reference cannot be used, or channels look exchanged.
@@ -288,7 +290,7 @@ def diagnose(
     system, findings = _checked_system(arm, recording, unseen, force=force)
     for finding in findings:
         on_finding(finding.text)
-    outcome = diagnose_system(system, progress, workers, began_s, healthy)
+    outcome = diagnose_system(system, progress, workers, began_s, healthy, announce)
     amended = amended_arm(arm, outcome.values, outcome.tolerances)
     return Diagnosis(
         recording=system.recording,

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.duration import expected_s
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
     ProbabilityCalibration,
@@ -91,15 +92,21 @@ def diagnose_system(
     workers: int = 1,
     began_s: float | None = None,
     reference: Reference | None = None,
+    announce: Callable[[float], None] = lambda _: None,
 ) -> Outcome:
     """Find what makes the recorded machine differ from the nominal one.
 
-    `progress` receives the present step and the share that is done; `began_s` is when the
-    diagnosis started, by `time.monotonic`. With a `reference`, whose tolerances the system has,
-    it is what changed since then.
+    `progress` receives the present step and the share that is done, in the stages of
+    `diagnosis.duration`; `announce` receives the seconds that it will take, before the search;
+    `began_s` is when the diagnosis started, by `time.monotonic`. With a `reference`, whose
+    tolerances the system has, it is what changed since then.
     """
     began_s = time.monotonic() if began_s is None else began_s
+    progress("preparing", 0.0)
+    prepares_s = time.monotonic()
     problem = problem_of(system)
+    prepared_s = time.monotonic() - prepares_s
+    announce(expected_s(problem, prepared_s, workers))
     calibration = bundled_calibration()
     nothing = np.zeros_like(problem.readings)
     usual = Expected(nothing, nothing + 1.0, problem.floor)

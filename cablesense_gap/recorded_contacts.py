@@ -216,6 +216,19 @@ class RecordedErrors(NamedTuple):
     false_n: float
     confirmed: float = float("nan")
 
+    @property
+    def wrong_n(self) -> float:
+        """Force that is stated wrongly, N, mean over all rows.
+
+        On the right segment it is the error; of a load that is stated on none or on another one
+        all of it, and of a released arm all that is stated.
+        """
+        stated_n = np.where(self.answer.segment > 0, self.answer.force_n, 0.0)
+        error_n = np.abs(stated_n - self.truth.force_n)
+        misplaced = self.answer.segment != self.truth.segment
+        missed_n = np.maximum(error_n, self.truth.force_n)
+        return mean_or_nan(np.where(misplaced, missed_n, error_n))
+
     def as_json(self) -> dict[str, Any]:
         """Errors as plain values."""
         return {

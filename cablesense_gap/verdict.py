@@ -173,6 +173,10 @@ class CandidateResult(FilePart):
     held_out_ci95_n: Interval | None = None
 
 
+DECIDING_ERROR: Final = "wrong_force_n"
+"""The error by which one of two estimators is the better one."""
+
+
 class EstimatorErrors(FilePart):
     """Errors of the force estimators of the nominal and of the amended arm, by name.
 

@@ -293,6 +293,9 @@ class NetworkContacts:
     ) -> FoundContacts:
         estimate = network.estimate(difference_n, pose_rad)
         probabilities = estimate.probabilities.tolist()
+        if not estimate.plausible:
+            doubt = _fits_no_force(estimate.misfit_n)
+            return FoundContacts(ForceState.IMPLAUSIBLE, probabilities, (), estimate, doubt)
         angle_deg = float(estimate.angle_deg)
         size_n = float(estimate.magnitude_n)
         contact = decide(probabilities, angle_deg, size_n, self._threshold, self._contact_m)
@@ -310,6 +313,9 @@ class NetworkContacts:
         touching = answer.probabilities[0]
         sizes_n = answer.magnitude_n[0].tolist()
         probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]
+        if not answer.plausible[0]:
+            doubt = _fits_no_force(float(answer.misfit_n[0]))
+            return FoundContacts(ForceState.IMPLAUSIBLE, probabilities, (), doubt=doubt)
         contacts = [
             Contact(n, 0.0, size_n, self._contact_m[n - 1])
             for n, size_n in enumerate(sizes_n, start=1)
@@ -319,3 +325,7 @@ class NetworkContacts:
         doubt = "the network of several contacts gives no directions" if contacts else ""
         force = ForceState.UNCONFIRMED if contacts else ForceState.FREE
         return FoundContacts(force, probabilities, tuple(contacts), doubt=doubt)
+
+
+def _fits_no_force(misfit_n: float) -> str:
+    return f"{misfit_n:.1f} N (RMS) of the readings fit no force on the arm"

@@ -45,7 +45,7 @@ def recorded_answers(
         TareError: a calibration is given with a network, which takes none.
     """
     arm = loaded.arm
-    estimation = Estimation(arm, loaded.contacts(settings), settings, 0.0, calibration)
+    estimation = Estimation(loaded.machine, loaded.contacts(settings), settings, 0.0, calibration)
     estimation.begin_at(recording.command_rad[0])
     writer = EffortWriter(arm.cable_names)
     last_rad: Array | None = None

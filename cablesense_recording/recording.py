@@ -9,6 +9,7 @@ which are not needed at all where readings return with commands and load (`retur
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -38,6 +39,11 @@ _SHOWN = 5
 MOST_READINGS = 72_000
 """Twenty minutes of twelve cables at 5 Hz: recordings by the protocol are used whole. More cables
 add as many columns to each fit as they have readings, so that the time grows with the square."""
+ENOUGH_HZ = 5.0
+"""Rows a second that show all that a diagnosis looks for in a protocol of holds and slow loads,
+beside the turns of commands and loads. A fit takes as much longer as it has more rows."""
+ENOUGH_ROWS = 2_000
+"""Rows that are used of any recording, if it has them."""
 MOST_TRIALS = 500
 """The protocol of an arm with four segments has sixty."""
 
@@ -247,10 +253,14 @@ def _last(time_s: Array, marked: NDArray[np.bool_]) -> tuple[NDArray[np.int64], 
 
 
 def rows_to_use(recording: Recording) -> Rows:
-    """(K,) ascending; all rows where they and the trials are few enough."""
+    """(K,) ascending; all rows where they and the trials are few enough.
+
+    Of a recording at a high rate they are as many as one at `ENOUGH_HZ` would have, with the rows
+    at which commands and loads turn or leap.
+    """
     numbers, first, inverse = np.unique(recording.trial, return_index=True, return_inverse=True)
     rows = np.arange(len(recording))
-    most = MOST_READINGS // recording.tensions_n.shape[1]
+    most = min(MOST_READINGS // recording.tensions_n.shape[1], _enough_rows(recording))
     if len(rows) <= most and len(numbers) <= MOST_TRIALS:
         return rows
     last = len(rows) - 1 - np.unique(recording.trial[::-1], return_index=True)[1]
@@ -263,6 +273,14 @@ def rows_to_use(recording: Recording) -> Rows:
     room = max(most - len(kept), 0)
     even = rows[np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int)]
     return np.union1d(kept, even)
+
+
+def _enough_rows(recording: Recording) -> int:
+    if len(recording) < 2:
+        return len(recording)
+    # pauses between trials are no part of it
+    lasts_s = len(recording) * float(np.median(np.diff(recording.time_s)))
+    return max(ENOUGH_ROWS, math.ceil(ENOUGH_HZ * lasts_s))
 
 
 def rows_along_path(recording: Recording) -> Rows:

@@ -15,24 +15,24 @@ from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, effec
 from cablesense_contact.inference.session import open_session
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.replay import read_tensions_n
 from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.law import law_protocol
+from cablesense_training.evaluation.touches import drawn_touches, settled_readings_n
 from cablesense_training.export import TRACED_ROWS, to_onnx
-from cablesense_training.law.build import arm_estimator
+from cablesense_training.law.build import TorchLaw
 from cablesense_training.law.posterior import LARGEST_N
+from cablesense_training.law_check import require_sound
 
 AGREEMENT = 1e-6
 """Largest difference allowed between PyTorch and ONNX Runtime, as a share of the largest."""
 
 _TRIAL_ROWS = 16
-"""On which an exported law is compared with the original."""
+"""On which an exported law is compared with the original, of"""
+_DRAWN_ROWS = 64
+"""that are drawn: an arm may find no rest under some."""
 _COMMANDED_DEG = 20.0
-"""Largest joint angle of these."""
-_PUSH_N = 10.0
-"""Deviation of each component of their forces."""
+"""Largest joint angle that a model file states."""
 
 
 def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) -> None:
@@ -42,9 +42,13 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
     readings, N², by what the arm file does not know of the arm.
 
     Raises:
-        TrainingError: PyTorch and ONNX Runtime differ, or the file cannot be written.
+        TrainingError: the law does not hold on the arm's own statics (`require_sound`), PyTorch
+            and ONNX Runtime differ, or the file cannot be written.
+        WeakArmError: the arm cannot stand, or bears no contact.
     """
-    estimator = arm_estimator(arm, unexplained_n2).double().eval()
+    law = TorchLaw(arm, unexplained_n2)
+    require_sound(law, arm)
+    estimator = law.estimator
     trial = _trial(arm)
     model = _to_onnx(estimator, trial)
     onnx.helper.set_model_props(model, _metadata(arm, command).to_properties())
@@ -54,30 +58,24 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
 
 
 def _trial(arm: Arm) -> list[Tensor]:
-    """Inputs of some rows: readings of the arm of the file, pushed in usual poses."""
-    rng = np.random.default_rng(0)
+    """Inputs of some rows: readings of the arm of the file, pushed in poses that it bears."""
     parameters = arm_parameters(arm)
-    reach = np.deg2rad(_COMMANDED_DEG)
-    joints = arm.joint_count
-    commands = rng.uniform(-reach, reach, (_TRIAL_ROWS, joints))
-    forces_n = np.zeros((_TRIAL_ROWS, arm.segment_count, 3))
-    rows = np.arange(_TRIAL_ROWS)
-    pushed = rng.integers(0, arm.segment_count, _TRIAL_ROWS)
-    forces_n[rows, pushed] = rng.normal(0.0, _PUSH_N, (_TRIAL_ROWS, 3))
-    rest = solve_equilibrium(mechanism_of(arm), commands, forces_n)
+    touches = drawn_touches(arm, law_protocol(arm, _DRAWN_ROWS), seed=0)
+    readings_n = settled_readings_n(arm, touches, np.random.default_rng(0))
+    rests = np.flatnonzero(np.isfinite(readings_n).all(axis=1))[:_TRIAL_ROWS]
     inputs = [
-        read_tensions_n(rest.tensions_n, arm.sensors, rng),
-        commands,
+        readings_n[rests],
+        touches.command_rad[rests],
         parameters.prior_mean,
         np.diag(parameters.prior_std**2),
-        np.zeros((joints, joints)),
+        np.zeros((arm.joint_count, arm.joint_count)),
     ]
     return [torch.as_tensor(values) for values in inputs]
 
 
 def _to_onnx(estimator: nn.Module, trial: list[Tensor]) -> onnx.ModelProto:
-    rows = torch.arange(TRACED_ROWS) % _TRIAL_ROWS
     readings, commands, *known = trial
+    rows = torch.arange(TRACED_ROWS) % len(readings)
     traced = (readings[rows], commands[rows], *known)
     return to_onnx(estimator, dict(zip(INPUTS, traced, strict=True)), LawOutput._fields)
 

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
+from cablesense_contact.commands import require_commands
 from cablesense_contact.errors import EstimateError
 from cablesense_contact.estimate import NORMAL_95, Estimate
+from cablesense_contact.inference.plausibility import ContactSubspace
 from cablesense_contact.inference.session import COMMAND, TENSION, OpenedModel
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
@@ -23,7 +25,7 @@ MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
 
 
 class Estimates(NamedTuple):
-    """B estimates: the fields of `Estimate`, with a leading axis."""
+    """B estimates: the fields of `Estimate` but its place, with a leading axis."""
 
     probabilities: Array
     segment: NDArray[np.int64]
@@ -33,10 +35,17 @@ class Estimates(NamedTuple):
     angle_std_deg: Array
     low_n: Array
     high_n: Array
+    misfit_n: Array
+    plausible: NDArray[np.bool_]
 
     @classmethod
-    def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
-        """Estimates from a model's `OUTPUTS`."""
+    def of_outputs(
+        cls,
+        outputs: Sequence[Array],
+        misfit_n: Array | None = None,
+        plausible: NDArray[np.bool_] | None = None,
+    ) -> Estimates:
+        """Estimates from a model's `OUTPUTS`; without a misfit (B,) all are plausible."""
         probability, direction, magnitude_n, std_n, angle_std_deg = outputs
         # twice, as the remainder of a tiny negative angle rounds to 360
         angle_deg = np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0 % 360.0
@@ -50,13 +59,15 @@ class Estimates(NamedTuple):
             angle_std_deg=angle_std_deg,
             low_n=np.maximum(0.0, magnitude_n - half_n),
             high_n=magnitude_n + half_n,
+            misfit_n=np.zeros(len(magnitude_n)) if misfit_n is None else misfit_n,
+            plausible=np.ones(len(magnitude_n), bool) if plausible is None else plausible,
         )
 
     def first(self) -> Estimate:
         """The first of them."""
-        probabilities, *numbers = self
-        stated: list[Any] = [number[0].item() for number in numbers]
-        return Estimate(probabilities[0].copy(), *stated)
+        numbers = self._fields[1:]
+        stated: dict[str, Any] = {name: getattr(self, name)[0].item() for name in numbers}
+        return Estimate(probabilities=self.probabilities[0].copy(), **stated)
 
 
 def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
@@ -106,7 +117,23 @@ class ContactEstimator(OpenedModel):
                 f"{len(command)} commands for {rows} samples; this model needs {count} joint "
                 "angles, once or for each sample"
             )
+        require_commands(command)
         return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
+
+    def _plausibility(
+        self, tensions_n: ArrayLike, commands_rad: ArrayLike | None
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """(B,) RMS of differences that no force makes, and whether each is little enough.
+
+        A network that is not pose-aware is one of the straight arm.
+        """
+        arm = self.metadata.arm
+        differences_n = finite_table(tensions_n, arm.cable_count, "tension differences")
+        poses_rad = np.zeros((len(differences_n), arm.joint_count))
+        if commands_rad is not None:
+            poses_rad = self._commands(commands_rad, len(differences_n))
+        subspace = ContactSubspace(arm, self.metadata.tare_samples)
+        return subspace.judged(differences_n, poses_rad)
 
 
 class Estimator(ContactEstimator):
@@ -126,7 +153,8 @@ class Estimator(ContactEstimator):
             EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
         """
         outputs = self._outputs(tension_difference_n, joint_command_rad, rows=1)
-        return Estimates.of_outputs(outputs).first()
+        plausibility = self._plausibility(tension_difference_n, joint_command_rad)
+        return Estimates.of_outputs(outputs, *plausibility).first()
 
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
@@ -136,15 +164,23 @@ class Estimator(ContactEstimator):
         Raises:
             EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
         """
-        return Estimates.of_outputs(self._outputs(tension_differences_n, joint_commands_rad))
+        outputs = self._outputs(tension_differences_n, joint_commands_rad)
+        plausibility = self._plausibility(tension_differences_n, joint_commands_rad)
+        return Estimates.of_outputs(outputs, *plausibility)
 
 
 class MultiEstimates(NamedTuple):
-    """B estimates, all (B, N): of each segment that it is touched, and if so, its force."""
+    """B estimates, (B, N): of each segment that it is touched, and if so, its force.
+
+    Attributes:
+        misfit_n, plausible: (B,) as of `Estimate`.
+    """
 
     probabilities: Array
     magnitude_n: Array
     magnitude_std_n: Array
+    misfit_n: Array
+    plausible: NDArray[np.bool_]
 
 
 class MultiEstimator(ContactEstimator):
@@ -160,4 +196,7 @@ class MultiEstimator(ContactEstimator):
         Raises:
             EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
         """
-        return MultiEstimates(*self._outputs(tension_differences_n, joint_commands_rad))
+        outputs = self._outputs(tension_differences_n, joint_commands_rad)
+        plausibility = self._plausibility(tension_differences_n, joint_commands_rad)
+        probabilities, magnitude_n, magnitude_std_n = outputs
+        return MultiEstimates(probabilities, magnitude_n, magnitude_std_n, *plausibility)

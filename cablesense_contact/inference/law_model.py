@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.errors import ModelFileError
+from cablesense_contact.commands import require_commands
+from cablesense_contact.errors import EstimateError, ModelFileError
 from cablesense_contact.inference.metadata import ANYWHERE
 from cablesense_contact.inference.model_file import one_line, read_model
 from cablesense_contact.inference.session import fits, open_session
@@ -76,8 +77,13 @@ class LawModel:
         """See `cablesense_contact.law.Law`.
 
         Raises:
+            EstimateError: a reading or a command is not finite, or a command is more than half a
+                turn.
             ModelFileError: ONNX Runtime cannot run it.
         """
+        require_commands(command_rad)
+        if not np.isfinite(reading_n).all():
+            raise EstimateError("readings must be finite; one is NaN or infinite")
         parts = []
         for first in range(0, len(reading_n), _ROWS_AT_ONCE):
             rows = slice(first, first + _ROWS_AT_ONCE)

@@ -18,6 +18,12 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.workers import WorkerPool
+from cablesense_gap.diagnosis.duration import (
+    COMPARING_ENDS,
+    WITH_MEMORY_ENDS,
+    WITHOUT_MEMORY_ENDS,
+    may_depend_on_history,
+)
 from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
 from cablesense_gap.diagnosis.nuisance import final_refinement, with_nuisance_at
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
@@ -43,8 +49,6 @@ _FITTED_ADDITIONS = 3
 """Additions to one hypothesis that are fitted: the linear score often errs by a rank or two."""
 _ROUGH_STEPS = 3
 """Gauss-Newton steps by which effects that imitate each other are compared before a full fit."""
-_HISTORY_SHARE = 0.05
-"""Least share of a residual by friction or creep that shows where commands and load return."""
 _RIVAL_COST_RATIO = 2.0
 """A hypothesis may still become the best if its cost is at most this many times the least."""
 _SUBSAMPLE_RIVAL_COST_RATIO = 6.0
@@ -87,7 +91,7 @@ class _Search:
         self._progress = progress
         self._doing = ""
         self._done = 0.0
-        self._until = 0.75
+        self._until = WITHOUT_MEMORY_ENDS
         candidates = problem.simulator.candidates
         self._memoryless = [c for c in candidates if not c.history_dependent]
         self._history_dependent = [c for c in candidates if c.history_dependent]
@@ -321,7 +325,7 @@ class _Search:
     def _add_history_dependent(self) -> None:
         """Continues with history-dependent effects on the subsample; all rows score results."""
         subsample = self._whole.subsample
-        self._until = 0.95
+        self._until = WITH_MEMORY_ENDS
         if subsample is None:
             self._take_search_steps_with_history()
             self._problem = self._whole
@@ -363,7 +367,7 @@ class _Search:
 
     def _compare(self) -> None:
         """Refines the best hypotheses, and the best without each of its effects."""
-        self._until = 0.97
+        self._until = COMPARING_ENDS
         self._refine_best()
         best = self._best()
         cost_of = self._problem.cost_of
@@ -437,19 +441,9 @@ class _Search:
         )
 
     def _may_depend_on_history(self) -> bool:
-        """Whether history-dependent effects may cause the residual of the best hypothesis.
-
-        Residual and past are compared in the rows that show both.
-        """
-        past = self._problem.past
-        problem = self._problem
-        if past is None:
-            return True
+        """Whether history-dependent effects may cause the residual of the best hypothesis."""
         best = min((self._none, *self._fitted_by_effects.values()), key=lambda h: h.held_out_rmse)
-        residual = (problem.readings - best.held_out)[past.rows]
-        return past.rms > _HISTORY_SHARE * noise_corrected_rms(
-            float((residual**2).mean()), problem.floor
-        )
+        return may_depend_on_history(self._problem, best.held_out)
 
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.

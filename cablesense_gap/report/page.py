@@ -17,6 +17,7 @@ from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report import text
+from cablesense_gap.report.next_step import Given, next_step, robot_next_step
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -56,19 +57,23 @@ _ROW_IN = 0.95
 
 
 def write_diagnosis(
-    folder: Path, found: Diagnosis, models: Mapping[str, RecordedErrors] = MappingProxyType({})
+    folder: Path,
+    found: Diagnosis,
+    models: Mapping[str, RecordedErrors] = MappingProxyType({}),
+    given: Given | None = None,
 ) -> None:
-    """Write all three files, each whole or not at all; `models` as `report_page` takes them.
+    """Write all three files, each whole or not at all; arguments as `report_page` takes them.
 
     Raises:
         VerdictError, ReportError: as `text.write_common`.
         ArmFileError: the arm file cannot be written.
     """
-    text.write_common(folder, found.verdict, report_page(found, models))
+    given = given or Given(recording=found.recording.name, out=str(folder))
+    text.write_common(folder, found.verdict, report_page(found, models, given))
     write_arm(folder / AMENDED_ARM, found.amended, text.headline(found.verdict))
 
 
-def write_robot_diagnosis(folder: Path, found: RobotDiagnosis) -> None:
+def write_robot_diagnosis(folder: Path, found: RobotDiagnosis, given: Given | None = None) -> None:
     """Write all four files, each whole or not at all.
 
     Raises:
@@ -77,16 +82,19 @@ def write_robot_diagnosis(folder: Path, found: RobotDiagnosis) -> None:
     """
     from cablesense_gap.robot.amending import write_amended
 
-    text.write_common(folder, found.verdict, robot_page(found, folder.name))
+    text.write_common(folder, found.verdict, robot_page(found, folder.name, given))
     write_amended(folder, found.system.robot, found.amended, found.beside)
 
 
 def report_page(
-    found: Diagnosis, models: Mapping[str, RecordedErrors] = MappingProxyType({})
+    found: Diagnosis,
+    models: Mapping[str, RecordedErrors] = MappingProxyType({}),
+    given: Given | None = None,
 ) -> str:
     """The report as one self-contained HTML page.
 
-    `models` are errors of estimators by their names, which a picture shows side by side.
+    `models` are errors of estimators by their names, which a picture shows side by side; `given`
+    is what the diagnosis was asked for, as its next command repeats it.
     """
     verdict = found.verdict
     recording = found.recording
@@ -117,6 +125,7 @@ def report_page(
         "changed": found.after_label != "",
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
+        "next": next_step(verdict, given or Given()),
         "earlier": [text.earlier_sentence(each) for each in verdict.earlier],
         "errors": text.error_rows(verdict.estimator) if verdict.estimator else [],
         "hidden": text.FRICTION_HIDES if "capstan_friction" in verdict.effects else "",
@@ -124,7 +133,7 @@ def report_page(
     return rendered(__package__, "report.html", content)
 
 
-def robot_page(found: RobotDiagnosis, folder: str) -> str:
+def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -> str:
     """The report on a robot as one self-contained HTML page; `folder` is where it will lie."""
     verdict = found.verdict
     with style():
@@ -132,7 +141,9 @@ def robot_page(found: RobotDiagnosis, folder: str) -> str:
     content = {
         **text.common_content(verdict),
         "trials": int(found.system.trial.max()) + 1,
-        "folder": folder,
+        "next": robot_next_step(
+            verdict, given or Given(out=folder, external=found.system.motion.external)
+        ),
         "findings": found.findings,
         "forward": found.system.motion.forward,
         "external": found.system.motion.external,

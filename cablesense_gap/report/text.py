@@ -14,6 +14,7 @@ from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
+    DECIDING_ERROR,
     NONE,
     UNKNOWN,
     Earlier,
@@ -126,6 +127,7 @@ FRICTION_HIDES = (
 """Added to errors of estimators if a verdict names that friction."""
 
 _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
+    DECIDING_ERROR: ("force stated wrongly or missed, mean: this decides", newtons),
     "contact_accuracy": ("loaded segment named", percent),
     "force_mae_n": ("force off by, mean", newtons),
     "direction_mean_deg": ("direction off by, mean", lambda value: f"{value:.2f}°"),

@@ -375,12 +375,14 @@ def diagnose(
     external: bool = False,
     force: bool = False,
     reference: RobotRecording | None = None,
+    announce: Callable[[float], None] = lambda _: None,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its nominal model.
 
     `beside` are effects that an amended model lists in addition to its MJCF. How they are compared
     (`bandwidth_hz`, `forward`, `zeroed`, `external`) is as of `prepared`. `progress` receives the
-    present step and the share of the whole that is done; `workers` processes share the search.
+    present step and the share of the whole that is done, `announce` the seconds that the search
+    will take, before it begins; `workers` processes share it.
     With `force` it continues if columns look exchanged or reversed; the findings then say so.
     A `reference` is of the same robot when it was healthy; the verdict says what changed since.
 
@@ -408,7 +410,7 @@ def diagnose(
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
         system = system.with_listed(healthy.tolerances)
-    diagnosis = diagnose_system(system, progress, workers, began_s, healthy)
+    diagnosis = diagnose_system(system, progress, workers, began_s, healthy, announce)
     tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
         system=system,

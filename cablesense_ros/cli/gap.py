@@ -33,6 +33,8 @@ from cablesense_ros.cli.options import (
 
 if TYPE_CHECKING:
     from cablesense_gap.adaptation import Adaptation, AdaptedEstimator
+    from cablesense_gap.recorded_contacts import RecordedErrors
+    from cablesense_gap.report.next_step import NextStep
 
 BandwidthOption = Annotated[
     float | None,
@@ -79,8 +81,6 @@ PositionsOption = Annotated[
     ),
 ]
 OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
-ADAPTED_MODEL = "estimator.onnx"
-CALIBRATION = "calibration.npz"
 _SHOWN_N = 0.05
 """Unexplained readings from this on are stated."""
 
@@ -122,6 +122,7 @@ def diagnose(
             recording, out, arm, reference, workers, force, console, topic or (), columns
         )
     else:
+        from cablesense_gap.report.next_step import Given, robot_next_step
         from cablesense_gap.report.page import write_robot_diagnosis
         from cablesense_gap.report.text import headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
@@ -133,28 +134,31 @@ def diagnose(
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
         read = partial(read_recording, robot=robot, topics=topic or (), force=force)
-        recorded = read(recording)
-        healthy = None if reference is None else read(reference)
-        with diagnosis_progress(console) as (show, _):
+        with diagnosis_progress(console) as progress:
+            recorded = read(recording)
+            healthy = None if reference is None else read(reference)
             diagnosis = make(
                 recorded,
                 robot,
                 beside,
                 bandwidth,
-                show,
+                progress.show,
                 workers,
                 forward,
                 zeroed=zeroed,
                 external=positions == "external",
                 force=force,
                 reference=healthy,
+                announce=progress.announce,
             )
-        write_robot_diagnosis(out, diagnosis)
+        given = Given(str(recording), str(model), str(out), external=positions == "external")
+        write_robot_diagnosis(out, diagnosis, given)
         verdict = diagnosis.verdict
         of_reference = () if healthy is None else healthy.notes
         reference_notes = [f"Reference: {note}" for note in of_reference]
         notes = (*recorded.notes, *reference_notes)
         lines = [*diagnosis.findings, *reference_notes, headline(verdict), *verdict.doubts]
+        lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
         for note in notes:
             console.print(note, soft_wrap=True, markup=False, highlight=False)
@@ -162,6 +166,10 @@ def diagnose(
         return
     for line in (*lines, f"Report: {out / 'report.html'}"):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _next(step: NextStep) -> str:
+    return f"Next: {step.title.lower()}: {step.command}"
 
 
 def _refuse_forward(context: typer.Context, positions: str) -> None:
@@ -182,6 +190,7 @@ def _diagnosed_arm(
 ) -> tuple[Any, list[str]]:
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
+    from cablesense_gap.report.next_step import Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import earlier_sentence, headline
     from cablesense_recording.checks import read_recording
@@ -195,13 +204,24 @@ def _diagnosed_arm(
     read = partial(read_recording, arm=nominal, topics=topics, columns=meant)
     recorded = read(recording)
     healthy = None if reference is None else read(reference)
-    with diagnosis_progress(console) as (show, warn):
-        diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
-    write_diagnosis(out, diagnosis)
+    with diagnosis_progress(console) as progress:
+        diagnosis = make(
+            recorded,
+            nominal,
+            progress.show,
+            workers,
+            progress.warn,
+            reference=healthy,
+            force=force,
+            announce=progress.announce,
+        )
+    given = Given(str(recording), arm, str(out))
+    write_diagnosis(out, diagnosis, given=given)
     lines = [*recorded.notes, headline(diagnosis.verdict)]
     lines += [*map(earlier_sentence, diagnosis.verdict.earlier)]
     if len(diagnosis.recording) < len(recorded):
         lines.append(f"Used: {len(diagnosis.recording):,} of {len(recorded):,} rows")
+    lines.append(_next(next_step(diagnosis.verdict, given)))
     return diagnosis.verdict, lines
 
 
@@ -346,15 +366,15 @@ def adapt(
 
     A fifth of the trials are withheld from the diagnosis; on their loads both estimators are
     judged. Writes what `gap diagnose` writes, with these errors, the model that the estimator node
-    takes, and its calibration. The model in use is kept if the new one is no better.
+    takes, and its calibration, and says which of the two to use.
 
     Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --out adapted[/bold]
     """
     from cablesense_contact.calibration_file import write_calibration
     from cablesense_contact.inference.metadata import find_model
     from cablesense_gap.adaptation import adapt as make
-    from cablesense_gap.amended_arm import AMENDED_ARM
     from cablesense_gap.recorded_contacts import open_estimator
+    from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
     from cablesense_recording.checks import read_recording
@@ -372,16 +392,25 @@ def adapt(
     console = Console(stderr=json_output)
     adapted_model = out / ADAPTED_MODEL
     calibration = out / CALIBRATION
-    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
-        adaptation = make(recorded, nominal, first, show, workers, warn, force=force)
-        made = adaptation.adapted if adaptation.better else None
+    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as progress:
+        adaptation = make(
+            recorded,
+            nominal,
+            first,
+            progress.show,
+            workers,
+            progress.warn,
+            force=force,
+            announce=progress.announce,
+        )
         exported = Path(folder) / ADAPTED_MODEL
-        if made is not None:
-            made.export(exported, shlex.join(words))
+        adaptation, refused = _exported(adaptation, exported, shlex.join(words))
+        made = adaptation.adapted
         models = {"before": adaptation.before} | (
             {"after": adaptation.after} if adaptation.after else {}
         )
-        write_diagnosis(out, adaptation.diagnosis, models)
+        given = Given(str(recording), arm, str(out), model or "")
+        write_diagnosis(out, adaptation.diagnosis, models, given)
         if made is not None:
             write_atomically(adapted_model, exported.read_bytes(), OptionError)
             write_calibration(calibration, made.calibration)
@@ -390,11 +419,12 @@ def adapt(
             calibration.unlink(missing_ok=True)
     verdict = adaptation.diagnosis.verdict
     if json_output:
-        used = adapted_model if made else path
+        used = adapted_model if adaptation.better else path
         print_json(
             {
                 "model": str(used) if used else None,
-                "calibration": str(calibration) if made else None,
+                "calibration": str(calibration) if adaptation.better else None,
+                "made": str(adapted_model) if made else None,
                 "better": adaptation.better,
                 "verdict": verdict.model_dump(mode="json"),
             }
@@ -405,43 +435,65 @@ def adapt(
         *recorded.notes,
         headline(verdict),
         _outcome(adaptation, kept),
+        *([refused] if refused else []),
         f"Report: {out / 'report.html'}",
     ]
     if "capstan_friction" in verdict.effects:
         lines.append(FRICTION_HIDES)
-    if made is not None:
-        lines += _how_to_run(made, out / AMENDED_ARM, adapted_model, calibration)
+    if made is not None and not adaptation.better:
+        lines.append(f"The new one is kept: {adapted_model}, {calibration}")
+    if made is not None and adaptation.better:
+        lines += _noise(made)
+    lines.append(_next(next_step(verdict, given)))
     for line in lines:
         console.print(line, soft_wrap=True, highlight=False)
 
 
-def _how_to_run(made: AdaptedEstimator, arm: Path, model: Path, calibration: Path) -> list[str]:
-    """What the new estimator takes as noise, and the command that starts it."""
+def _exported(adaptation: Adaptation, path: Path, command: str) -> tuple[Adaptation, str]:
+    """The adaptation once its model is a file, and a sentence where it cannot be one."""
+    from cablesense_training.errors import TrainingError
+
+    if adaptation.adapted is None:
+        return adaptation, ""
+    try:
+        adaptation.adapted.export(path, command)
+    except TrainingError as error:
+        return adaptation.without_the_new(), f"No new estimator: {error}"
+    return adaptation, ""
+
+
+def _noise(made: AdaptedEstimator) -> list[str]:
+    """What the new estimator takes as noise, if it is much."""
     unexplained_n = made.unexplained_n2**0.5
-    lines = []
-    if unexplained_n >= _SHOWN_N:
-        lines.append(
-            f"Readings differ by {unexplained_n:.2f} N (RMS) from what this arm explains, beyond "
-            "the sensors' noise: the estimator takes it as noise, so its intervals are wider."
-        )
-    run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={arm} -p model:={model}"
-    return [*lines, f"Run it: {run} -p calibration_file:={calibration}"]
+    if unexplained_n < _SHOWN_N:
+        return []
+    return [
+        f"Readings differ by {unexplained_n:.2f} N (RMS) from what this arm explains, beyond "
+        "the sensors' noise: the estimator takes it as noise, so its intervals are wider."
+    ]
 
 
 def _outcome(found: Adaptation, kept: str) -> str:
     """The errors before and after in a sentence, and which model to use."""
     if found.after is None:
         return f"Nothing was found that would make another estimator: keep {kept}."
-    before, after = (
-        f"force off by {errors.magnitude_mae_n:.2f} N, direction by "
-        f"{errors.direction_mae_deg:.1f}°, segment right {errors.contact_accuracy:.1%}"
-        for errors in (found.before.whole.errors, found.after.whole.errors)
-    )
+    before, after = map(_errors, (found.before, found.after))
     use = "Use the new estimator." if found.better else f"The new one is no better: keep {kept}."
     return (
         f"On {found.before.whole.errors.contacts} loaded rows of {len(found.trials)} trials that "
-        f"the diagnosis did not have: before, {before}; after, {after}. {use}"
+        f"the diagnosis did not have: before, {before}; after, {after}. Force stated wrongly or "
+        f"missed decides: {found.before.wrong_n:.2f} N before, {found.after.wrong_n:.2f} N after. "
+        f"{use}"
     )
+
+
+def _errors(judged: RecordedErrors) -> str:
+    errors = judged.whole.errors
+    parts = [f"force off by {errors.magnitude_mae_n:.2f} N"]
+    if errors.found:
+        parts.append(f"direction by {errors.direction_mae_deg:.1f}°")
+    parts.append(f"segment right {errors.contact_accuracy:.1%}")
+    return ", ".join(parts)
 
 
 gap = typer.Typer(

@@ -54,6 +54,8 @@ SAME_PLACE_M = 0.02
 
 _LOW_N = 5.0
 """Weakest force of the protocol."""
+_LOW_SHARE = 0.25
+"""The same of a weak arm, as a share of its strongest."""
 _HIGH_N = 40.0
 """Strongest force of the protocol, if the arm's own is not lower."""
 _ROWS_AT_ONCE = 256
@@ -297,12 +299,24 @@ def exact_calibration(arm: Arm) -> Calibration:
     )
 
 
-def law_protocol(arm: Arm, samples: int) -> AnywhereContact:
-    """Contacts of 5 N to a firm push in bent poses, or as the arm bears."""
-    options = {"kind": "anywhere", "samples": samples, "pose": "random", "force_low_n": _LOW_N}
+def law_protocol(
+    arm: Arm, samples: int, no_contact_fraction: float | None = None
+) -> AnywhereContact:
+    """Contacts of 5 N to a firm push in bent poses, or as the arm bears.
+
+    `no_contact_fraction` is the share of untouched samples, by default the protocol's own.
+
+    Raises:
+        WeakArmError: the arm cannot stand, or bears no contact.
+    """
+    options = {"kind": "anywhere", "samples": samples, "pose": "random"}
     protocol = protocol_from_options(options, arm)
     assert isinstance(protocol, AnywhereContact)
-    return replace(protocol, force_high_n=min(protocol.force_high_n, _HIGH_N))
+    high_n = min(protocol.force_high_n, _HIGH_N)
+    low_n = min(_LOW_N, _LOW_SHARE * high_n)
+    return replace(
+        protocol, force_low_n=low_n, force_high_n=high_n, no_contact_fraction=no_contact_fraction
+    )
 
 
 def evaluate_exact(law: Law, arm: Arm, protocol: AnywhereContact, seed: int) -> LawMetrics:

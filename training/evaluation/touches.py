@@ -17,8 +17,14 @@ from cablesense_base import Array
 from cablesense_contact.calibration import Unloaded
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.built_arm import BuiltArm
-from cablesense_sim.effects.registry import actuations, amended, transmissions
+from cablesense_sim.built_arm import BuiltArm, as_described
+from cablesense_sim.effects.registry import (
+    EffectEntry,
+    actuations,
+    amended,
+    joint_zeros_rad,
+    transmissions,
+)
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import read_tensions_n
@@ -122,15 +128,7 @@ def touched_readings_n(
 
     There are two of them where nothing depends on the past, NaN of what the arm does not bear.
     """
-    nominal = mechanism_of(arm)
-    across = touches.force_n[..., 1:]
-    forces = contact_forces_n(
-        nominal,
-        touches.command_rad,
-        np.rad2deg(np.arctan2(across[..., 0], across[..., 1])),
-        np.hypot(across[..., 0], across[..., 1]),
-        touches.force_n[..., 0],
-    )
+    forces = _forces_n(arm, touches)
     count = len(forces)
     rubs = bool(transmissions([built.entries]))
     history = LoadHistory.drawn(count, rng) if rubs else LoadHistory.plain(count)
@@ -145,6 +143,39 @@ def touched_readings_n(
     tensions = tensions_along_n(arm, built, time_s, commands, loads, touches.line_m)
     readings = _read_n(arm, built, time_s, tensions, rng)
     return readings[TARED:] if rubs else readings
+
+
+def settled_readings_n(arm: Arm, touches: Touches, rng: np.random.Generator) -> Array:
+    """Readings (B, M) of exactly the arm of a file at rest under each touch; NaN without a rest.
+
+    An equilibrium has no memory: friction, creep and backlash are left out, and sensors with a
+    memory are read as they settle.
+    """
+    described = as_described(arm)
+    entries = [entry for entry in described.entries if not _remembers(entry)]
+    at_rest = replace(described, entries=entries)
+    now = np.zeros(1)
+    commands = touches.command_rad[None]
+    loads = _forces_n(arm, touches)[None]
+    tensions = tensions_along_n(arm, at_rest, now, commands, loads, touches.line_m)
+    return np.asarray(_read_n(arm, at_rest, now, tensions, rng)[0])
+
+
+def _remembers(entry: EffectEntry) -> bool:
+    """Whether what an effect does to tensions depends on what came before."""
+    return bool(transmissions([[entry]])) or bool(actuations([[entry]]))
+
+
+def _forces_n(arm: Arm, touches: Touches) -> Array:
+    """(B, N, 3) the touches' forces, in base axes."""
+    across = touches.force_n[..., 1:]
+    return contact_forces_n(
+        mechanism_of(arm),
+        touches.command_rad,
+        np.rad2deg(np.arctan2(across[..., 0], across[..., 1])),
+        np.hypot(across[..., 0], across[..., 1]),
+        touches.force_n[..., 0],
+    )
 
 
 def _read_n(
@@ -169,7 +200,9 @@ def tensions_along_n(
     Commands are (R, B, 2N), loads (R, B, N, 3) at `places_m` (B, N) on the axes.
     """
     entries = [built.entries] * commands_rad.shape[1]
-    held = held_lengths_m(mechanism_of(arm), commands_rad + built.joint_zeros_rad)
+    listed_rad = joint_zeros_rad([built.entries], arm.segment_count)
+    zeros_rad = built.joint_zeros_rad if listed_rad is None else built.joint_zeros_rad + listed_rad
+    held = held_lengths_m(mechanism_of(arm), commands_rad + zeros_rad)
     for actuation in actuations(entries):
         held = actuation.along(time_s, held.swapaxes(0, 1)).swapaxes(0, 1)
     mechanism = amended(built.mechanism, built.entries)

@@ -70,8 +70,8 @@ class _SensedEstimator(nn.Module):
 def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _SensedEstimator:
     """The estimator of an arm: as drawn, with the effects that its file lists.
 
-    Of effects without memory it knows all but springs in joints, of the others the friction of
-    cables. `unexplained_n2` is the variance of readings by what it does not know, N².
+    Of effects without memory it knows all, of the others the friction of cables. `unexplained_n2`
+    is the variance of readings by what it does not know, N².
     """
     nominal = mechanism_of(arm)
     estimator = ArmEstimator(
@@ -110,12 +110,13 @@ class TorchLaw:
 
     Attributes:
         arm: the arm.
+        estimator: the module that answers.
     """
 
     def __init__(self, arm: Arm, unexplained_n2: float = 0.0) -> None:
         """Build it; see `arm_estimator`."""
         self.arm = arm
-        self._estimator = arm_estimator(arm, unexplained_n2).double().eval()
+        self.estimator = arm_estimator(arm, unexplained_n2).double().eval()
 
     def __call__(
         self,
@@ -128,7 +129,7 @@ class TorchLaw:
         """See `Law`."""
         inputs = (reading_n, command_rad, mean, covariance, unrest_n2_m2)
         with torch.no_grad():
-            answer = self._estimator(
+            answer = self.estimator(
                 *(torch.as_tensor(np.asarray(each, dtype=float)) for each in inputs)
             )
         return LawOutput._make(np.asarray(part.numpy()) for part in answer)

@@ -81,6 +81,7 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
             *others: object,
             unseen: Collection[int] = (),
             force: bool = False,
+            announce: object = None,
         ) -> Diagnosis:
             asked.append(unseen or others[-1])
             shares = {effect.effect: SHARE for effect in effects}

@@ -142,9 +142,8 @@ class PerfectNetwork(Estimator):
         zeros = np.zeros(self.rows)
         segment = np.where(released, 0, self._truth.segment)
         size = self._truth.magnitude_n
-        return Estimates(
-            zeros, segment, self._truth.angle_deg, size, zeros + 0.1, zeros + 0.1, size, size
-        )
+        stated = (self._truth.angle_deg, size, zeros + 0.1, zeros + 0.1, size, size)
+        return Estimates(zeros, segment, *stated, misfit_n=zeros, plausible=zeros == 0.0)
 
 
 def test_a_network_gets_differences_to_tares_at_contact_points(

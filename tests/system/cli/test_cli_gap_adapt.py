@@ -18,6 +18,7 @@ from cablesense_gap.verdict import Share
 from cablesense_recording.csv_file import write_csv
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.replay import replay_arm
+from cablesense_training.errors import TrainingError
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import draw_no_pictures
 from tests.helpers.verdict_cases import verdict_of
@@ -31,7 +32,7 @@ GAIN = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.3}
 def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Writes the recording of an arm, which is always diagnosed as having a wrong gain."""
 
-    def diagnose(recording, arm, *_, force=False) -> Diagnosis:
+    def diagnose(recording, arm, *_, force=False, announce=None) -> Diagnosis:
         rest = {"tolerances_n": 0.1, "unexplained_n": 0.0, "unexplained_share": 0.0}
         verdict = verdict_of("sensor_gain", shares={"sensor_gain": SHARE}, **rest)
         read = recording.tensions_n
@@ -78,13 +79,15 @@ def test_people_read_how_to_run_it(command, record, tmp_path):
     assert "trials that the diagnosis did not have" in done.stdout
     assert "Use the new estimator." in done.stdout
     run = (
-        "Run it: ros2 run cablesense_ros estimator --ros-args -p arm:=adapted/amended_arm.yaml "
+        "Next: use the new estimator: ros2 run cablesense_ros estimator --ros-args "
+        "-p arm:=adapted/amended_arm.yaml "
         "-p model:=adapted/estimator.onnx -p calibration_file:=adapted/calibration.npz"
     )
     assert run in done.stdout
+    assert run.partition("estimator: ")[2] in (tmp_path / "adapted" / "report.html").read_text()
 
 
-def test_a_second_model_that_is_no_better_is_not_left_behind(command, record, tmp_path):
+def test_a_second_model_that_is_no_better_is_kept_and_not_recommended(command, record, tmp_path):
     (tmp_path / "adapted").mkdir()
     for name in ("estimator.onnx", "calibration.npz"):
         (tmp_path / "adapted" / name).write_text("of an earlier run")
@@ -93,9 +96,27 @@ def test_a_second_model_that_is_no_better_is_not_left_behind(command, record, tm
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
     assert (said["better"], said["model"], said["calibration"]) == (False, None, None)
+    assert said["made"] == "adapted/estimator.onnx"
     for name in ("estimator.onnx", "calibration.npz"):
-        assert not (tmp_path / "adapted" / name).exists()
-    assert "keep the first" in (tmp_path / "adapted" / "report.html").read_text()
+        assert (tmp_path / "adapted" / name).read_bytes() != b"of an earlier run"
+    report = (tmp_path / "adapted" / "report.html").read_text()
+    assert "keep the first" in report
+    assert "force stated wrongly" in report
+
+
+def test_a_new_estimator_that_does_not_hold_leaves_the_verdict(
+    command, record, tmp_path, monkeypatch
+):
+    def refuse(arm, path, command, unexplained_n2) -> None:
+        raise TrainingError("the estimator does not hold")
+
+    monkeypatch.setattr(adaptation, "export_law", refuse)
+    done = command("gap", "adapt", record(GAIN), "--out", "adapted")
+    assert done.returncode == 0, done.stderr
+    assert "No new estimator: the estimator does not hold" in done.stdout
+    assert "-p arm:=cdsm_lab" in done.stdout
+    assert not (tmp_path / "adapted" / "estimator.onnx").exists()
+    assert (tmp_path / "adapted" / "verdict.json").exists()
 
 
 def test_a_model_that_is_none_is_refused_before_the_diagnosis(command, record, tmp_path):

@@ -73,8 +73,8 @@ def test_the_first_line_is_the_verdict(page):
 
 def test_it_says_what_to_do_and_shows_figures(page):
     for words in (
-        "Use the amended arm file amended_arm.yaml",
-        "cablesense export --arm amended_arm.yaml",
+        "Use the new estimator",
+        "ros2 run cablesense_ros estimator",
         "Load segment 2 downwards.",
         "0.400",
         "0.380 to 0.420",
@@ -174,17 +174,19 @@ def test_how_far_the_gap_shrinks_is_stated(text_of, effects, after_n, words):
     assert words in text_of(verdict_of(effects, gap=gap_of(3.0, after_n)))
 
 
-def test_what_is_doubtful_is_to_be_made_sure_first(text_of):
+def test_what_is_undecided_is_recorded_before_anything_is_adapted(text_of):
     sure = text_of(verdict_of("payload", 0.95, next_experiment="Load it."))
-    assert sure.index("Use the amended") < sure.index("To be surer still. Load it.")
-    for doubtful in (
-        verdict_of("payload", 0.6, next_experiment="Load it."),
-        verdict_of("payload", 0.95, next_experiment="Load it.", gap=gap_of(3.0, 2.0)),
+    assert sure.index("Adapt the estimator") < sure.index("What to record next. Load it.")
+    less_sure = text_of(verdict_of("payload", 0.6, next_experiment="Load it."))
+    assert "40 % of the probability lies elsewhere" in less_sure
+    for undecided in (
+        verdict_of("payload", 0.4, next_experiment="Load it."),
         verdict_of("payload", 0.95, next_experiment="Load it.", ambiguity_group=("none",)),
     ):
-        text = text_of(doubtful)
-        assert text.index("First make sure. Load it.") < text.index("Use the amended")
-        assert ("40 % of the probability lies elsewhere" in text) == (doubtful.probability < 0.9)
+        text = text_of(undecided)
+        assert "Record what decides" in text
+        assert "cablesense gap record" in text
+        assert "gap adapt" not in text
 
 
 def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path, monkeypatch):

@@ -70,8 +70,19 @@ def test_turns_of_a_sweep_are_kept_to_the_row():
     command = np.interp(np.arange(60_000), turns, [0.0, 0.1, -0.15, 0.02, -0.01, 0.0])
     rows = rows_to_use(recording(command, np.zeros(60_000)))
     assert np.isin(turns, rows).all()
-    assert len(rows) <= recordings.MOST_READINGS // 12
-    assert np.diff(rows).max() <= 60_000 / 5_000
+    assert len(rows) <= recordings.ENOUGH_ROWS
+    assert np.diff(rows).max() <= 60_000 / (0.9 * recordings.ENOUGH_ROWS)
+
+
+def test_a_high_rate_adds_no_rows_beyond_what_the_diagnosis_needs():
+    """Six and a half minutes at 50 Hz, as many at 5 Hz, and half an hour at 5 Hz."""
+    for rows, period_s, most in ((20_000, 0.02, 2_000), (2_000, 0.2, 2_000), (9_000, 0.2, 6_000)):
+        command = 0.1 * np.sin(np.linspace(0.0, 60.0, rows))
+        made = replace(
+            recording(command, np.zeros(rows)), time_s=period_s * np.arange(rows, dtype=float)
+        )
+        used = rows_to_use(made)
+        assert 0.95 * most <= len(used) <= most
 
 
 @pytest.mark.parametrize("hysteresis_n", [0.0, 0.02, 2.0])

@@ -29,6 +29,8 @@ FIELDS = (
     "angle_std_deg",
     "low_n",
     "high_n",
+    "misfit_n",
+    "plausible",
 )
 tensions = st.lists(st.floats(-500.0, 500.0), min_size=12, max_size=12)
 
