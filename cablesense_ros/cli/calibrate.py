@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablesense_base.files import output_file
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, titled_table
+from cablesense_ros.cli.options import (
+    ForceOption,
+    JsonOption,
+    TopicsOption,
+    print_json,
+    print_notes,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,6 +52,7 @@ def calibrate(
             show_default="the time of its file",
         ),
     ] = None,
+    topic: TopicsOption = None,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
@@ -68,7 +76,7 @@ def calibrate(
 
     output_file(out, force=force, inputs=(recording, arm, model))
     described = open_arm(arm)
-    recorded = read_recording(recording, described)
+    recorded = read_recording(recording, described, topic or ())
     law = law_of(described, arm, model)
     unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
     calibration = Calibrator(described, law).from_poses(unloaded)
@@ -78,6 +86,7 @@ def calibrate(
     calibration = replace(calibration, made_from=made_from)
     write_calibration(out, calibration, described)
     description = calibration_description(calibration, described, law)
+    print_notes(recorded.notes, json_output)
     if json_output:
         print_json({"file": str(out), **description})
         return

@@ -104,6 +104,13 @@ def diagnosis_progress(
         yield show, warn
 
 
+def print_notes(notes: Iterable[str], as_json: bool) -> None:
+    """Print what was read of a recording and how; beside JSON, on standard error."""
+    console = Console(stderr=as_json)
+    for note in notes:
+        console.print(note, soft_wrap=True, markup=False, highlight=False)
+
+
 def print_json(content: Any) -> None:
     """Print a result for machines."""
     print(json.dumps(content, indent=2))

@@ -17,7 +17,9 @@ from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
+    TopicsOption,
     print_json,
+    print_notes,
     refuse_given,
     titled_table,
 )
@@ -50,6 +52,7 @@ def calibrate(
     arm: Annotated[
         str, typer.Option(help="Arm of the recording: a path, or the name of a bundled one.")
     ] = "cdsm",
+    topic: TopicsOption = None,
     gravity: Annotated[
         float | None,
         typer.Option(
@@ -87,10 +90,10 @@ def calibrate(
         as_recorded = maps.calibrated(described, database, earlier, str(recorded_with))
     if recording is not None:
         of_arm = open_arm(arm)
-        recorded = read_recording(recording, of_arm)
+        recorded = read_recording(recording, of_arm, topic or ())
         as_recorded = as_recorded.arranged(of_arm.cable_names)
     else:
-        refuse_given(context, ["arm"], "without --recording")
+        refuse_given(context, ["arm", "topic"], "without --recording")
     known = sensor_calibration.read_known_loads(loads, described.cable_names)
     weighed = any(load.mass_kg is not None for of_cable in known.values() for load in of_cable)
     if not weighed:
@@ -117,6 +120,7 @@ def calibrate(
         cables=cables,
     )
     maps.write_calibration(out, calibration)
+    print_notes(() if recorded is None else recorded.notes, json_output)
     if json_output:
         print(calibration.model_dump_json(indent=2))
         return
@@ -185,6 +189,7 @@ def check(
         typer.Option(min=0.1, max=10_000.0, help="Right rate, Hz.", show_default="the arm file's"),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Live: of the arm's nodes.")] = "",
+    topic: TopicsOption = None,
     json_output: JsonOption = False,
 ) -> None:
     """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
@@ -208,6 +213,7 @@ def check(
     if recording is None:
         from cablesense_ros.recorder import capture_tensions
 
+        refuse_given(context, ["topic"], "without a recording")
         pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
         unknown = [cable for cable in pulled if cable not in names]
         if unknown:
@@ -219,7 +225,9 @@ def check(
         report = check_sensors(readings, names, expected, pulls)
     else:
         refuse_given(context, ["pull", "seconds", "namespace"], "on a recording")
-        report = check_sensors(read_recording(recording, described), names, expected)
+        recorded = read_recording(recording, described, topic or ())
+        print_notes(recorded.notes, json_output)
+        report = check_sensors(recorded, names, expected)
     if json_output:
         print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:

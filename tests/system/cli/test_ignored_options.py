@@ -30,6 +30,9 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("sensors check run.csv --seconds 20", "--seconds"),
         ("sensors check run.csv --pull all", "--pull"),
         ("sensors calibrate loads.csv --out c.yaml --arm cdsm_lab", "--arm"),
+        ("sensors calibrate loads.csv --out c.yaml --topic /t", "--topic"),
+        ("sensors check --topic /t", "--topic"),
+        ("evaluate --topic /t", "--topic"),
     ],
 )
 def test_what_would_be_ignored_is_refused_by_name(arguments, option):
