@@ -13,6 +13,8 @@ from enum import Enum
 from functools import cached_property
 from typing import Final
 
+from cablesense_recording.efforts import Effort, Meaning
+
 TIME: Final = "time_s"
 TRIAL: Final = "trial"
 LOAD_SEGMENT: Final = "load_segment"
@@ -97,6 +99,7 @@ class RobotChannels:
         torque_units: (J,) N·m or N.
         limited: (J,) whether a joint has a range.
         driven: (J,) whether a drive may act on a joint; the torque of any other is rightly 0.
+        efforts: (J,) what the channels of torque hold; torques where it is empty.
     """
 
     model: str
@@ -107,6 +110,7 @@ class RobotChannels:
     torque_units: tuple[str, ...]
     limited: tuple[bool, ...]
     driven: tuple[bool, ...]
+    efforts: tuple[Effort, ...] = ()
 
     @cached_property
     def table(self) -> tuple[Channel, ...]:
@@ -115,9 +119,16 @@ class RobotChannels:
             Channel(f"position.{joint}", Kind.POSITION, unit, joint)
             for joint, unit in zip(self.joints, self.position_units, strict=True)
         ]
+        efforts = self.efforts or (Effort(),) * len(self.joints)
         torques = [
-            Channel(f"torque.{joint}", Kind.TORQUE, unit, joint, needed=False)
-            for joint, unit in zip(self.joints, self.torque_units, strict=True)
+            Channel(
+                f"{effort.meaning.value}.{joint}",
+                Kind.TORQUE,
+                "A" if effort.meaning is Meaning.CURRENT else unit,
+                joint,
+                needed=False,
+            )
+            for joint, unit, effort in zip(self.joints, self.torque_units, efforts, strict=True)
         ]
         commands = [
             Channel(f"command.{actuator}", Kind.COMMAND, "", actuator, needed=False)

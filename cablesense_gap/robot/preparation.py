@@ -19,6 +19,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from cablesense_base import Array
+from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
@@ -73,6 +74,7 @@ def prepared(
     *,
     zeroed: bool = False,
     external: bool = False,
+    gain: Array | None = None,
 ) -> Motion:
     """The recording's motion and torques; by default compared as far as torques have power.
 
@@ -83,9 +85,34 @@ def prepared(
     that the nominal robot needs. Of a short recording more rows are left at a wider bandwidth, so
     by default it is as wide as it must be.
 
+    Currents whose torque constant is unknown are brought to torques by the `gain` (J,), as of
+    another recording of the robot; without one by that which fits the nominal robot best.
+
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
     """
+    unknown = recording.unknown_gain & np.isfinite(recording.torque).any(axis=0)
+    options = (robot, bandwidth_hz, forward, zeroed, external)
+    if not unknown.any() or external:
+        return _as_wide_as_needed(recording, *options)
+    if gain is None:
+        as_recorded = _as_wide_as_needed(recording, robot, bandwidth_hz, False, zeroed, external)
+        gain = 1.0 / np.abs(effort_readings(robot, as_recorded).gain)
+    gain = np.where(unknown, gain, 1.0)
+    in_torque = replace(recording, torque=recording.torque * gain)
+    motion = _as_wide_as_needed(in_torque, *options)
+    return replace(motion, gain=gain, unknown_gain=unknown)
+
+
+def _as_wide_as_needed(
+    recording: RobotRecording,
+    robot: Robot,
+    bandwidth_hz: float | None,
+    forward: bool | None,
+    zeroed: bool,
+    external: bool,
+) -> Motion:
+    """As `prepared`, of a recording with torques; at a bandwidth that leaves enough rows."""
     least_hz = _LEAST_HZ
     while True:
         try:
@@ -189,6 +216,8 @@ def _prepared(
         external=external,
         noise=noise,
         inertia=inertia,
+        gain=np.ones(len(robot.joints)),
+        unknown_gain=np.zeros(len(robot.joints), dtype=bool),
     )
 
 
@@ -284,7 +313,8 @@ def _frequency_below(
 
 def _mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
     """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
-    count = min(int(np.median([len(s) for s in signals])), int(_SPECTRUM_S * rate_hz))
+    longest = max(int(_SPECTRUM_S * rate_hz), _FEWEST_SAMPLES)
+    count = min(int(np.median([len(s) for s in signals])), longest)
     long_signals = [s for s in signals if len(s) >= count]
     spectra = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in long_signals]
     return spectra[0][0], np.asarray(np.mean([density for _, density in spectra], axis=0))

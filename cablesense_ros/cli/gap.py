@@ -17,6 +17,7 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.options import (
+    EffortOption,
     ForceOption,
     JsonOption,
     ModelOption,
@@ -77,7 +78,7 @@ PositionsOption = Annotated[
         "the drives, as by a camera, and are compared with the commands of position servos."
     ),
 ]
-OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
+OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions", "effort")
 ADAPTED_MODEL = "estimator.onnx"
 CALIBRATION = "calibration.npz"
 _SHOWN_N = 0.05
@@ -97,6 +98,7 @@ def diagnose(
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
     topic: TopicsOption = None,
+    effort: EffortOption = None,
     reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
@@ -130,7 +132,9 @@ def diagnose(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
-        read = partial(read_recording, robot=robot, topics=topic or (), force=force)
+        read = partial(
+            read_recording, robot=robot, topics=topic or (), efforts=effort or (), force=force
+        )
         recorded = read(recording)
         healthy = None if reference is None else read(reference)
         with diagnosis_progress(console) as (show, _):
@@ -216,6 +220,7 @@ def predict(
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
     topic: TopicsOption = None,
+    effort: EffortOption = None,
     settle: Annotated[
         int,
         typer.Option(
@@ -249,7 +254,7 @@ def predict(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot, topic or ())
+        recorded = read_recording(recording, robot, topic or (), efforts=effort or ())
         robot_options = {"zeroed": zeroed, "external": positions == "external"}
         system = RobotSystem(
             robot, prepared(recorded, robot, bandwidth, forward, **robot_options), beside

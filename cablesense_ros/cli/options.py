@@ -42,6 +42,17 @@ TopicsOption = Annotated[
         show_default="the one that fits",
     ),
 ]
+EffortOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effort",
+        metavar="[JOINT=]MEANING[:FACTOR]",
+        help="With --model: what the efforts of all joints or of one are: torque, current, or "
+        "torque_without_gravity. FACTOR is N·m or N by one unit of them (0.001 of mN·m); the "
+        "torque constant of a current without one is fitted. May be given several times.",
+        show_default="what the columns state, else torque",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")
