@@ -182,7 +182,7 @@ def read_robot_recording(
         notes += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
-    measured = np.isfinite(torque).any(axis=0)
+    measured = np.isfinite(torque).any(axis=0).tolist()
     named = [joint for joint, known in zip(channels.joint_names, measured, strict=True) if known]
     of_measured = [each for each, known in zip(channels.efforts, measured, strict=True) if known]
     notes += effort_sentences(of_measured, named)

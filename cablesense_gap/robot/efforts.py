@@ -10,7 +10,9 @@ mN·m, b_g near 0 for torque without gravity, both near the same unknown number 
 near is what models of real machines leave. Positions in degrees and times in milliseconds change
 the model's torque instead. All other coefficients, and the size of the noise, are as wide for
 every hypothesis, so the posterior follows from b_d and b_g alone: where a motion does not show
-them, nothing is stated.
+them, nothing is stated. One hypothesis is that the efforts are torques of a machine that has what
+no model knows: a spring, which looks like inertia of the other sign in a sine, and friction that
+depends on the place.
 """
 
 from __future__ import annotations
@@ -48,6 +50,8 @@ _ROWS_A_SAMPLE = 3.0
 _ORDINARY_GAIN = 5.0
 """A gain within this factor is an effect: a wrong torque constant, a payload."""
 
+_ROTOR = 3
+"""Number of the rotor's coefficient among the nuisances; unmodelled ones are behind it."""
 _UNITS: Final = {"N·m": {"mN·m": 1e3, "N·cm": 1e2}, "N": {"mN": 1e3}}
 """By unit, others in which efforts are recorded, and how many of these make one."""
 _PER_DEGREE = float(np.pi / 180.0)
@@ -184,7 +188,9 @@ class _Regressions:
         measured = np.nan_to_num(motion.torque)
         self._effort = motion.compared(measured)
         ones = np.ones_like(motion.speed)
-        columns = (motion.direction, motion.speed, ones, motion.acceleration)
+        away = motion.position - motion.position.mean(axis=0)
+        unmodelled = away, away**2, away * motion.direction
+        columns = (motion.direction, motion.speed, ones, motion.acceleration, *unmodelled)
         self._nuisances = [motion.compared(column) for column in columns]
         counted = motion.counts.any(axis=0)
         self._judged = np.flatnonzero(counted & (np.abs(self._effort).max(axis=0) > 0.0)).tolist()
@@ -268,15 +274,17 @@ class _Regression:
 
 
 class _JointRegression:
-    """The readings of one joint's effort (Q,), by columns (Q, 6) as in the module's equation."""
+    """The readings of one joint's effort (Q,), by columns (Q, K) as in the module's equation.
+
+    Behind those of dynamics, gravity, friction, damping, zero and rotor are the unmodelled ones.
+    """
 
     def __init__(self, effort: Array, columns: Array, rotor: float, unit: str) -> None:
         self.readings = tuple(_readings(unit))
         size = float(np.sqrt((effort**2).mean()))
-        nuisance = np.sqrt((columns[:, 2:-1] ** 2).mean(axis=0))
-        self._sd = np.append(
-            _NUISANCE_SHARE * size / np.maximum(nuisance, 1e-12), _NUISANCE_SHARE * rotor
-        )
+        nuisance = np.sqrt((columns[:, 2:] ** 2).mean(axis=0))
+        self._sd = _NUISANCE_SHARE * size / np.maximum(nuisance, 1e-12)
+        self._sd[_ROTOR] = _NUISANCE_SHARE * rotor
         self._noise_variance = (_NOISES * size) ** 2
         self._samples = len(effort) / _ROWS_A_SAMPLE
         # as many numbers as coefficients have all that rows say of them
@@ -296,12 +304,14 @@ class _JointRegression:
         return tuple(dict.fromkeys(each.name for each in self.readings if each.kind == "unit"))
 
     def _prior(self, reading: Reading) -> tuple[Array, Array]:
-        """Mean (6,) and standard deviation (6,) of the coefficients."""
+        """Mean (K,) and standard deviation (K,) of the coefficients."""
         mean = np.zeros(len(self._sd) + 2)
         mean[:2] = reading.dynamic, reading.gravity
-        spread = np.concatenate([[reading.dynamic_sd, reading.gravity_sd], self._sd])
-        spread[-1] *= abs(reading.dynamic)  # a rotor is read in the unit of the effort
-        return mean, spread
+        nuisance = self._sd.copy()
+        nuisance[_ROTOR] *= abs(reading.dynamic)  # a rotor is read in the unit of the effort
+        if reading.kind != "anything":
+            nuisance[_ROTOR + 1 :] = 0.0
+        return mean, np.concatenate([[reading.dynamic_sd, reading.gravity_sd], nuisance])
 
     def _log_likelihoods(self) -> Array:
         """(H,) of the effort y by each reading, the mean over the noises s.
@@ -348,8 +358,9 @@ class _JointRegression:
 
     def gravity_share(self) -> tuple[float, float]:
         """b_g and its standard deviation, by least squares."""
-        used = np.abs(self._columns).max(axis=0) > 0.0
-        columns = self._columns[:, used]
+        of_model = self._columns[:, : _ROTOR + 3]
+        used = np.abs(of_model).max(axis=0) > 0.0
+        columns = of_model[:, used]
         inverse = np.linalg.pinv(columns)
         coefficients = inverse @ self._effort
         variance = float(((self._effort - columns @ coefficients) ** 2).sum()) / self._samples

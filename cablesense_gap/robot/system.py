@@ -410,8 +410,7 @@ def diagnose(
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
-    options = {"zeroed": zeroed, "external": external}
-    motion = prepared(recording, robot, bandwidth_hz, forward, **options)
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed, external=external)
 
     suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     if suspect and not force:

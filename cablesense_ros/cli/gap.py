@@ -255,10 +255,9 @@ def predict(
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot, topic or (), efforts=effort or ())
-        robot_options = {"zeroed": zeroed, "external": positions == "external"}
-        system = RobotSystem(
-            robot, prepared(recorded, robot, bandwidth, forward, **robot_options), beside
-        )
+        external = positions == "external"
+        motion = prepared(recorded, robot, bandwidth, forward, zeroed=zeroed, external=external)
+        system = RobotSystem(robot, motion, beside)
         write_prediction(out, system)
         gaps = system.gaps()
         figures = {"rows": system.row_count, "gap": {name: gap for name, _, gap, _ in gaps}}

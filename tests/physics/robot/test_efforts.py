@@ -137,6 +137,7 @@ def in_amperes(constants, word="current"):
 CONSTANTS = {"shoulder": 0.12, "elbow": 0.8}
 
 
+@pytest.mark.slow
 def test_columns_of_currents_are_brought_to_torques_and_their_constants_fitted(tmp_path, robot):
     path = changed_table(tmp_path, in_amperes(CONSTANTS), friction=(0.0, 0.2))
     recording = read_recording(path, robot)
