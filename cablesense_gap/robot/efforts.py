@@ -31,7 +31,7 @@ from cablesense_gap.robot.motion import Motion
 SURE: Final = 0.99
 """Posterior probability from which on a reading other than the stated one is told."""
 
-_MODEL_SHARE = 0.3
+_MODEL_SHARE = 0.2
 """Standard deviation of b_d and b_g about those of a reading: link masses of real models."""
 _LEFT_GRAVITY = 0.15
 """That of b_g where a drive takes gravity out, by its own masses."""
@@ -60,11 +60,11 @@ _PRIOR: Final = {
     "torque": 0.6,
     "effect": 0.26,
     "anything": 0.01,
-    "unit": 0.02,
+    "unit": 0.05,
     "sign": 0.02,
     "without gravity": 0.05,
-    "gain": 0.02,
-    "reversed gain": 0.02,
+    "gain": 0.005,
+    "reversed gain": 0.005,
 }
 """Prior probability of each kind of reading; several of a kind share it."""
 _AS_STATED: Final = ("torque", "effect", "anything")
@@ -424,38 +424,52 @@ def _suspect_efforts(robot: Robot, nominal: _Regression, stated: Sequence[bool])
     """Units and missing gravity that are sure, as sentences with the remedy."""
     by_unit: dict[str, list[int]] = {}
     without: list[int] = []
+    having: list[int] = []
     for joint, kinds in nominal.kinds(_judged(nominal, stated)).items():
         kind, name = _sure_kind(kinds)
         if kind == "unit":
             by_unit.setdefault(name, []).append(joint)
         elif kind == "without gravity" and nominal.parts.gravity[:, joint].any():
             without.append(joint)
+        elif kinds["torque", ""] + kinds["effect", ""] >= SURE:
+            having.append(joint)
     for name, joints in by_unit.items():
-        unit = robot.torque_units[joints[0]]
-        bare_name, _, other_sign = name.partition(" ")
-        factor = (-1.0 if other_sign else 1.0) / _UNITS[unit][bare_name]
-        named = some_of([f"torque.{robot.joints[joint]}" for joint in joints])
-        looks = "looks" if len(joints) == 1 else "look"
-        option = _option(robot, joints, nominal, f"torque:{factor:g}")
-        yield f"{named} {looks} like {name}, not {unit} (state {option})"
+        yield _unit_sentence(robot, nominal, name, joints)
     if without:
-        sizes = [float(np.abs(nominal.parts.gravity[:, joint]).max()) for joint in without]
-        shares = [nominal.by_joint[joint].gravity_share() for joint in without]
-        share, deviation = shares[int(np.argmax(sizes))]
-        unit = robot.torque_units[without[int(np.argmax(sizes))]]
-        named = some_of([robot.joints[joint] for joint in without])
-        verb = "lacks" if len(without) == 1 else "lack"
-        noun = "effort" if len(without) == 1 else "efforts"
-        option = _option(robot, without, nominal, "torque_without_gravity")
-        yield (
-            f"the {noun} of {named} {verb} the model's gravity of {max(sizes):.3g} {unit}: their "
-            f"share of it is {share:.2f} ± {deviation:.2f} (state {option})"
-        )
+        # a driver takes it out at all joints: those that surely have it are the exception
+        every = without if not having else list(nominal.by_joint)
+        yield _gravity_sentence(robot, nominal, without, every)
 
 
-def _option(robot: Robot, joints: Sequence[int], nominal: _Regression, meaning: str) -> str:
-    """The option that states a meaning, of all joints or of these."""
-    if set(joints) >= set(nominal.by_joint):
+def _unit_sentence(robot: Robot, nominal: _Regression, name: str, joints: Sequence[int]) -> str:
+    unit = robot.torque_units[joints[0]]
+    bare_name, _, other_sign = name.partition(" ")
+    factor = (-1.0 if other_sign else 1.0) / _UNITS[unit][bare_name]
+    named = some_of([f"torque.{robot.joints[joint]}" for joint in joints])
+    looks = "looks" if len(joints) == 1 else "look"
+    option = _option(robot, joints, list(nominal.by_joint), f"torque:{factor:g}")
+    return f"{named} {looks} like {name}, not {unit} (state {option})"
+
+
+def _gravity_sentence(
+    robot: Robot, nominal: _Regression, joints: Sequence[int], every: Sequence[int]
+) -> str:
+    gravity = nominal.parts.gravity
+    heaviest = max(joints, key=lambda joint: float(np.abs(gravity[:, joint]).max()))
+    most = float(np.abs(gravity[:, heaviest]).max())
+    share, deviation = nominal.by_joint[heaviest].gravity_share()
+    named = some_of([robot.joints[joint] for joint in joints])
+    what = f"the effort of {named} lacks" if len(joints) == 1 else f"the efforts of {named} lack"
+    option = _option(robot, joints, every, "torque_without_gravity")
+    return (
+        f"{what} the model's gravity of {most:.3g} {robot.torque_units[heaviest]}: their share of "
+        f"it is {share:.2f} ± {deviation:.2f} (state {option})"
+    )
+
+
+def _option(robot: Robot, joints: Sequence[int], every: Sequence[int], meaning: str) -> str:
+    """The option that states a meaning, of every joint or of some."""
+    if set(joints) >= set(every):
         return f"--effort {meaning}"
     return " ".join(f"--effort {robot.joint_names[joint]}={meaning}" for joint in joints)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cablesense_base.installation import config_path
 from cablesense_gap.robot.efforts import effort_readings
-from cablesense_gap.robot.model import gravity_torque, load_robot
+from cablesense_gap.robot.model import gravity_torque, inverse_dynamics, load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import diagnose
@@ -220,3 +221,54 @@ def test_a_column_that_says_otherwise_than_the_option_is_refused(tmp_path, robot
     path = changed_table(tmp_path, in_amperes(CONSTANTS))
     with pytest.raises(RecordingError, match="a column current is stated to be torque"):
         read_recording(path, robot, efforts=["torque"])
+
+
+@pytest.fixture(scope="module")
+def six_joints():
+    """A robot of six joints, and a recording of it in motion whose links are 10 % off."""
+    six = load_robot(config_path("robots/arm_6.xml"))
+    rng = np.random.default_rng(5)
+    trial, time_s = np.divmod(np.arange(2400), 600)
+    time_s = 0.01 * time_s
+    position, speed, acceleration = np.zeros((3, 2400, 6))
+    for number in range(4):
+        rows = trial == number
+        for hertz in (0.15, 0.4, 0.8):
+            w = 2.0 * np.pi * hertz * rng.uniform(0.8, 1.2, 6)
+            size = rng.uniform(0.03, 0.12, 6) / hertz
+            phase = w * time_s[rows, None] + rng.uniform(0.0, 2.0 * np.pi, 6)
+            position[rows] += size * np.sin(phase)
+            speed[rows] += size * w * np.cos(phase)
+            acceleration[rows] -= size * w**2 * np.sin(phase)
+    built = six.nominal()
+    built.mass_kg *= 1.0 + rng.normal(0.0, 0.1, len(built.mass_kg))
+    torque = inverse_dynamics(six.varied(built), position, speed, acceleration)
+    torque += 0.1 * np.sqrt((torque**2).mean(axis=0)) * np.sign(speed)
+    commands = np.empty((2400, 0))
+    return six, RobotRecording("six", time_s + 6.0 * trial, trial, position, torque, commands)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r, g: r, None),
+        (lambda r, g: replace(r, torque=r.torque - g), "(state --effort torque_without_gravity)"),
+        (lambda r, g: replace(r, torque=1e3 * r.torque), "(state --effort torque:0.001)"),
+        (
+            lambda r, g: replace(r, torque=r.torque * [1, 1, 1, 1, 100, 1]),
+            "torque.joint_5 looks like N·cm, not N·m (state --effort joint_5=torque:0.01)",
+        ),
+        (lambda r, g: replace(r, position=r.position * DEGREES), "positions look like degrees"),
+        (lambda r, g: replace(r, time_s=1e3 * r.time_s), "time_s looks like milliseconds"),
+    ],
+)
+def test_six_joints_of_which_one_feels_no_gravity(six_joints, change, said):
+    six, recording = six_joints
+    changed = change(recording, gravity_torque(six.model, recording.position))
+    suspect = readings(changed, six).suspect
+    if said is None:
+        assert not suspect
+    else:
+        assert said in suspect[0]
+        assert len(suspect) == 1
