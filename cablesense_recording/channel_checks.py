@@ -20,6 +20,8 @@ from cablesense_recording.recording import Finding, refuse, rows_named, warn
 DEAD = "dead"
 """The kind of the finding that a channel does not follow what it measures."""
 
+_MOST = 1e9
+"""No tension, torque, command or place is larger, in whatever unit."""
 _FOREIGN_INTERVALS = 10.0
 """A single stamp that is off by more of the usual intervals is of another clock."""
 _LEAP_INTERVALS = 5.0
@@ -29,6 +31,8 @@ _MOST_LEAPS = 0.05
 _UNEVEN = 3.0
 """Share of rows before which time leaps, and mean by median interval, from which on time is none
 that rows were sampled by."""
+_BY_CHANCE = 1e-9
+"""Probability below which readings that are equal are no chance."""
 _DEAD_ROWS = 20
 _DEAD_SHARE = 0.2
 _DOUBTFUL_SHARE = 0.05
@@ -110,6 +114,18 @@ def time_findings(
     )
 
 
+def huge_values(label: str, values: Array, first_row: int = 1) -> Iterator[Finding]:
+    """Where a channel (R,) has a number that is none of a measurement, as a broken message has."""
+    huge = np.abs(np.nan_to_num(values)) > _MOST
+    if huge.any():
+        marked = np.append(np.zeros(first_row - 1, dtype=bool), huge)
+        yield refuse(
+            "huge",
+            f"{label} is {values[huge][0]:.3g} in {rows_named(marked)}; no reading is beyond "
+            f"{_MOST:g}: leave these rows out",
+        )
+
+
 def leaps(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(R,) whether time leaps within a trial before a row."""
     steps_s = np.diff(time_s)
@@ -155,6 +171,22 @@ def constant_channels(labels: Sequence[str], values: Array) -> list[int]:
         for number in range(len(labels))
         if np.isfinite(values[:, number]).all() and np.ptp(values[:, number]) == 0.0
     ]
+
+
+def silent_rows(values: Array) -> slice | None:
+    """The rows (R,) in which a channel stands still though it has noise elsewhere, if any.
+
+    Of readings that are equal to the one before in a share p of all others, n equal ones in a row
+    have the probability p^n at each of R places.
+    """
+    run = longest_run(values)
+    count = run.stop - run.start
+    others = np.append(np.diff(values[: run.start + 1]), np.diff(values[run.stop - 1 :]))
+    if count < _DEAD_ROWS or len(others) < _DEAD_ROWS:
+        return None
+    equal = (np.count_nonzero(others == 0.0) + 1.0) / (len(others) + 2.0)  # by Laplace's rule
+    chance = np.log(len(values)) + (count - 1) * np.log(equal)
+    return run if chance < np.log(_BY_CHANCE) else None
 
 
 def dead_torque(

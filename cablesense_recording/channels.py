@@ -33,6 +33,7 @@ class Kind(Enum):
     COMMAND = "command"
     LOAD = "load"
     TENSION = "tension"
+    POSE = "pose"
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,16 @@ class Channel:
     unit: str
     of: str = ""
     needed: bool = True
+
+
+POSE_PLACE: Final = ("x", "y", "z")
+POSE_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+"""What stands behind `pose.FRAME.` in the labels of a pose: metres, and a unit quaternion."""
+
+
+def pose_labels(frame: str) -> list[str]:
+    """Labels of the place and the quaternion of a frame, seven in all."""
+    return [f"{Kind.POSE.value}.{frame}.{part}" for part in (*POSE_PLACE, *POSE_QUATERNION)]
 
 
 def command_columns(joint_count: int) -> list[str]:
@@ -100,6 +111,7 @@ class RobotChannels:
         limited: (J,) whether a joint has a range.
         driven: (J,) whether a drive may act on a joint; the torque of any other is rightly 0.
         efforts: (J,) what the channels of torque hold; torques where it is empty.
+        frames: names of what poses may be of: bodies and sites of the model.
     """
 
     model: str
@@ -111,6 +123,7 @@ class RobotChannels:
     limited: tuple[bool, ...]
     driven: tuple[bool, ...]
     efforts: tuple[Effort, ...] = ()
+    frames: tuple[str, ...] = ()
 
     @cached_property
     def table(self) -> tuple[Channel, ...]:

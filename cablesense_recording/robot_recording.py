@@ -18,6 +18,7 @@ from cablesense_recording.channel_checks import (
     constant_channels,
     dead_position,
     dead_torque,
+    huge_values,
     leap_sentence,
     leaps,
     leaps_and_returns,
@@ -40,12 +41,16 @@ from cablesense_recording.efforts import (
 )
 from cablesense_recording.joint_states import bag_table
 from cablesense_recording.mcap_file import is_bag
+from cablesense_recording.poses import Kinematics, with_positions
 from cablesense_recording.recording import Finding, RecordingError
 
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
 
-_PREFIXES = (TIME, "time", TRIAL, "position.", "command.", *(f"{word}." for word in MEANINGS))
+_PREFIXES = (
+    *(TIME, "time", TRIAL, "position.", "command.", "pose."),
+    *(f"{word}." for word in MEANINGS),
+)
 _STILL_S = 0.5
 _STILL_SHARE = 0.01
 """A joint slower than this share of its largest speed is standing still."""
@@ -128,13 +133,14 @@ def read_robot_recording(
     topics: Sequence[str] = (),
     *,
     efforts: Sequence[str] = (),
+    kinematics: Kinematics | None = None,
     force: bool = False,
 ) -> RobotRecording:
     """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
 
     Files of a folder do not share trials. `topics` are those of a bag to read where several fit.
     `efforts` state what efforts are, where these are no torques in N·m or N, as of
-    `efforts.stated_efforts`.
+    `efforts.stated_efforts`. With `kinematics` joints that have no positions are found by poses.
     With `force` a channel that stands still while its joint moves is no reason to refuse.
 
     Raises:
@@ -156,6 +162,9 @@ def read_robot_recording(
             raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
         tables = {file: _labelled(file, channels) for file in _files(path)}
         channels, tables = _with_efforts(path, tables, channels, stated)
+    for file, table in tables.items():
+        tables[file], sentences = with_positions(file, table, channels, kinematics)
+        notes += sentences
     parts = [_part(file, table, channels, bag) for file, table in tables.items()]
     for part in parts:
         notes += part.notes
@@ -182,10 +191,9 @@ def read_robot_recording(
         notes += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
-    measured = np.isfinite(torque).any(axis=0).tolist()
-    named = [joint for joint, known in zip(channels.joint_names, measured, strict=True) if known]
-    of_measured = [each for each, known in zip(channels.efforts, measured, strict=True) if known]
-    notes += effort_sentences(of_measured, named)
+    measured = np.flatnonzero(np.isfinite(torque).any(axis=0)).tolist()
+    of_measured = [channels.efforts[joint] for joint in measured]
+    notes += effort_sentences(of_measured, [channels.joint_names[joint] for joint in measured])
     if not np.isfinite(torque).any():
         notes += _constant_commands(channels, every["command"])
     return RobotRecording(
@@ -301,6 +309,9 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     begin, end = _begun(table, measured)
     for channel in measured:
         _refuse_gaps(path, channel, table[channel.label], begin, end)
+        if channel.kind not in (Kind.TIME, Kind.TRIAL):
+            for finding in huge_values(channel.label, table[channel.label]):
+                raise RecordingError(f"{path}: {finding.text}")
     numbered = any(channel.kind is Kind.TRIAL for channel in measured)
     trial = np.zeros(rows, dtype=np.int64)
     if numbered:

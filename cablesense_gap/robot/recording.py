@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from cablesense_gap.robot.model import Robot, gravity_torque
+from cablesense_gap.robot.poses import PoseKinematics, frames_of
 from cablesense_recording.channels import RobotChannels
 from cablesense_recording.efforts import Meaning
 from cablesense_recording.robot_recording import RobotRecording as RobotRecording
@@ -27,6 +28,7 @@ def channels_of(robot: Robot) -> RobotChannels:
         torque_units=robot.torque_units,
         limited=tuple(robot.model.jnt_limited.astype(bool).tolist()),
         driven=_driven(robot),
+        frames=frames_of(robot),
     )
 
 
@@ -58,7 +60,9 @@ def read_recording(
         RecordingError: as `cablesense_recording.robot_recording.read_robot_recording`.
     """
     channels = channels_of(robot)
-    recording = read_robot_recording(path, channels, topics, efforts=efforts, force=force)
+    recording = read_robot_recording(
+        path, channels, topics, efforts=efforts, kinematics=PoseKinematics(robot), force=force
+    )
     lacks = [each.meaning is Meaning.WITHOUT_GRAVITY for each in recording.efforts]
     if not any(lacks):
         return recording
