@@ -110,7 +110,7 @@ def _poses(
 
 
 def _refuse_gaps(path: Path, frame: str, pose: Array) -> None:
-    complete = np.isfinite(pose).all(axis=1)
+    complete = np.asarray(np.isfinite(pose).all(axis=1))
     rows = np.flatnonzero(complete)
     if not rows.size:
         raise RecordingError(f"{path}: pose.{frame} is empty in every row")
