@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from cablesense_base import Array, some_of
 from cablesense_recording.channels import TIME, Channel
@@ -19,6 +20,8 @@ from cablesense_recording.recording import Finding, refuse, rows_named, warn
 DEAD = "dead"
 """The kind of the finding that a channel does not follow what it measures."""
 
+_MOST = 1e9
+"""No tension, torque, command or place is larger, in whatever unit."""
 _FOREIGN_INTERVALS = 10.0
 """A single stamp that is off by more of the usual intervals is of another clock."""
 _LEAP_INTERVALS = 5.0
@@ -28,6 +31,8 @@ _MOST_LEAPS = 0.05
 _UNEVEN = 3.0
 """Share of rows before which time leaps, and mean by median interval, from which on time is none
 that rows were sampled by."""
+_BY_CHANCE = 1e-9
+"""Probability below which readings that are equal are no chance."""
 _DEAD_ROWS = 20
 _DEAD_SHARE = 0.2
 _DOUBTFUL_SHARE = 0.05
@@ -51,6 +56,14 @@ _LEAP_SHARE = 0.1
 """A step is none of a joint that moves where it is off the steps around it by more than these
 multiples of what is usual there and of what nearly all steps are off, and by the share of the
 span."""
+_BESIDE = 6
+_LEAST_OFF = 0.005
+_MOST_OFF = 10.0
+_OFF_PERCENT = 90.0
+"""The motion by so many rows before a step, and by those after it, is a parabola each. Between the
+rows they differ by a leap, and by next to nothing where a joint is hit, which turns speeds alone.
+A leap is more than that share of the span, and than a multiple of what the percentage of all
+largest differences of their surroundings are."""
 _LAGS = (2, 3)
 _ALTERNATING = 0.5
 """Readings of several sources by turns: rows a few apart differ less than this by neighbours."""
@@ -101,6 +114,18 @@ def time_findings(
     )
 
 
+def huge_values(label: str, values: Array, first_row: int = 1) -> Iterator[Finding]:
+    """Where a channel (R,) has a number that is none of a measurement, as a broken message has."""
+    huge = np.abs(np.nan_to_num(values)) > _MOST
+    if huge.any():
+        marked = np.append(np.zeros(first_row - 1, dtype=bool), huge)
+        yield refuse(
+            "huge",
+            f"{label} is {values[huge][0]:.3g} in {rows_named(marked)}; no reading is beyond "
+            f"{_MOST:g}: leave these rows out",
+        )
+
+
 def leaps(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(R,) whether time leaps within a trial before a row."""
     steps_s = np.diff(time_s)
@@ -146,6 +171,22 @@ def constant_channels(labels: Sequence[str], values: Array) -> list[int]:
         for number in range(len(labels))
         if np.isfinite(values[:, number]).all() and np.ptp(values[:, number]) == 0.0
     ]
+
+
+def silent_rows(values: Array) -> slice | None:
+    """The rows (R,) in which a channel stands still though it has noise elsewhere, if any.
+
+    Of readings that are equal to the one before in a share p of all others, n equal ones in a row
+    have the probability p^n at each of R places.
+    """
+    run = longest_run(values)
+    count = run.stop - run.start
+    others = np.append(np.diff(values[: run.start + 1]), np.diff(values[run.stop - 1 :]))
+    if count < _DEAD_ROWS or len(others) < _DEAD_ROWS:
+        return None
+    equal = (np.count_nonzero(others == 0.0) + 1.0) / (len(others) + 2.0)  # by Laplace's rule
+    chance = np.log(len(values)) + (count - 1) * np.log(equal)
+    return run if chance < np.log(_BY_CHANCE) else None
 
 
 def dead_torque(
@@ -243,7 +284,51 @@ def position_leaps(position: Array, trial: NDArray[np.int64]) -> NDArray[np.bool
     leap = off > np.maximum(_LEAP_STEPS * usual, _MOST_TIMES * most)
     leap &= off > _LEAP_SHARE * np.ptp(position, axis=0)
     leap &= (np.diff(trial) == 0)[:, None]
-    return np.append(False, leap.any(axis=1))
+    large = np.append(False, leap.any(axis=1))
+    parted = trial + np.cumsum(large)
+    return np.asarray(large | _small_leaps(position, parted))
+
+
+def _small_leaps(position: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(R,) whether the motion (R, J) before a row does not lead to that after it."""
+    share = [_share_of_leap(joint_position, trial) for joint_position in position.T]
+    most = np.max(share, axis=0)
+    return np.asarray((most > 1.0) & _peaks(most))
+
+
+def _share_of_leap(position: Array, trial: NDArray[np.int64]) -> Array:
+    """(R,) how far off the motion of a joint (R,) a row is, as a share of a leap."""
+    off = _off_the_motion(position, trial)
+    peak = _peaks(off)
+    usual = float(np.percentile(off[peak], _OFF_PERCENT)) if peak.any() else 0.0
+    least = max(_MOST_OFF * usual, _LEAST_OFF * float(np.ptp(position)))
+    return off / least if least > 0.0 else off
+
+
+def _peaks(values: Array) -> NDArray[np.bool_]:
+    """(R,) the largest of their surroundings."""
+    around = maximum_filter1d(values, 2 * _BESIDE + 1)
+    return np.asarray((around == values) & (values > 0.0))
+
+
+def _off_the_motion(position: Array, trial: NDArray[np.int64]) -> Array:
+    """(R,) how far parabolas through the rows before and from each row differ between these.
+
+    It is 0 where a trial has too few rows on either side.
+    """
+    rows = len(position)
+    off = np.zeros(rows)
+    if rows < 2 * _BESIDE:
+        return off
+    # p(x) = a + b x + c x^2 at x = 1/2, 3/2 … rows from the step; a is the value there
+    away = np.arange(_BESIDE) + 0.5
+    at_step = np.linalg.pinv(np.vander(away, 3, increasing=True))[0]
+    windows = sliding_window_view(position, 2 * _BESIDE)
+    before = windows[:, :_BESIDE] @ at_step[::-1]
+    after = windows[:, _BESIDE:] @ at_step
+    together = trial[2 * _BESIDE - 1 :] == trial[: rows - 2 * _BESIDE + 1]
+    off[_BESIDE : rows - _BESIDE + 1] = np.abs(after - before) * together
+    return off
 
 
 def leap_sentence(

@@ -13,6 +13,8 @@ from enum import Enum
 from functools import cached_property
 from typing import Final
 
+from cablesense_recording.efforts import Effort, Meaning
+
 TIME: Final = "time_s"
 TRIAL: Final = "trial"
 LOAD_SEGMENT: Final = "load_segment"
@@ -31,6 +33,7 @@ class Kind(Enum):
     COMMAND = "command"
     LOAD = "load"
     TENSION = "tension"
+    POSE = "pose"
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,16 @@ class Channel:
     unit: str
     of: str = ""
     needed: bool = True
+
+
+POSE_PLACE: Final = ("x", "y", "z")
+POSE_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+"""What stands behind `pose.FRAME.` in the labels of a pose: metres, and a unit quaternion."""
+
+
+def pose_labels(frame: str) -> list[str]:
+    """Labels of the place and the quaternion of a frame, seven in all."""
+    return [f"{Kind.POSE.value}.{frame}.{part}" for part in (*POSE_PLACE, *POSE_QUATERNION)]
 
 
 def command_columns(joint_count: int) -> list[str]:
@@ -97,6 +110,8 @@ class RobotChannels:
         torque_units: (J,) N·m or N.
         limited: (J,) whether a joint has a range.
         driven: (J,) whether a drive may act on a joint; the torque of any other is rightly 0.
+        efforts: (J,) what the channels of torque hold; torques where it is empty.
+        frames: names of what poses may be of: bodies and sites of the model.
     """
 
     model: str
@@ -107,6 +122,8 @@ class RobotChannels:
     torque_units: tuple[str, ...]
     limited: tuple[bool, ...]
     driven: tuple[bool, ...]
+    efforts: tuple[Effort, ...] = ()
+    frames: tuple[str, ...] = ()
 
     @cached_property
     def table(self) -> tuple[Channel, ...]:
@@ -115,9 +132,16 @@ class RobotChannels:
             Channel(f"position.{joint}", Kind.POSITION, unit, joint)
             for joint, unit in zip(self.joints, self.position_units, strict=True)
         ]
+        efforts = self.efforts or (Effort(),) * len(self.joints)
         torques = [
-            Channel(f"torque.{joint}", Kind.TORQUE, unit, joint, needed=False)
-            for joint, unit in zip(self.joints, self.torque_units, strict=True)
+            Channel(
+                f"{effort.meaning.value}.{joint}",
+                Kind.TORQUE,
+                "A" if effort.meaning is Meaning.CURRENT else unit,
+                joint,
+                needed=False,
+            )
+            for joint, unit, effort in zip(self.joints, self.torque_units, efforts, strict=True)
         ]
         commands = [
             Channel(f"command.{actuator}", Kind.COMMAND, "", actuator, needed=False)

@@ -16,7 +16,12 @@ from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array, some_of
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
-from cablesense_recording.channel_checks import constant_channels, time_findings
+from cablesense_recording.channel_checks import (
+    constant_channels,
+    huge_values,
+    silent_rows,
+    time_findings,
+)
 from cablesense_recording.channels import (
     LOAD,
     LOAD_AT,
@@ -150,6 +155,8 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
                 f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "
                 "number: leave out rows that lack one",
             )
+        elif name != TIME:
+            yield from huge_values(name, values)
 
 
 def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
@@ -297,6 +304,24 @@ def _channels(
             )
             for cable in constant_channels(tension_columns(arm.cable_count), read)
         ]
+    else:
+        findings.append(
+            warn(
+                "stuck",
+                "no command changes in any row, and no load; a diagnosis needs an arm that moves "
+                "or is loaded: publish its commands while the recorder runs",
+            )
+        )
+    silent = {cable: _silent_rows(recording, values, arm) for cable, values in enumerate(read.T)}
+    findings += [
+        warn(
+            "stuck",
+            f"tension_{cable + 1}_n stands still in rows {run.start + 1} to {run.stop}, and has "
+            "noise elsewhere; see whether its sensor is connected",
+        )
+        for cable, run in silent.items()
+        if run is not None
+    ]
     if nominal_n is None:
         return findings
     moved_n = _MOVED_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors)))
@@ -308,7 +333,8 @@ def _channels(
     read = compared.tensions_n
     cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
     centred_read, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
-    stuck = list(_stuck(compared, rows, nominal_n, moved_n))
+    known = {cable for cable, run in silent.items() if run is not None}
+    stuck = list(_stuck(compared, rows, nominal_n, moved_n, known))
     if len(cables) < 2:
         return [*findings, *stuck]
     exchanged = list(_exchanged(centred_read, expected, cables))
@@ -338,17 +364,38 @@ def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
                 )
 
 
+def _silent_rows(recording: Recording, values: Array, arm: Arm) -> slice | None:
+    """The rows of several trials in which a channel (R,) stands still, without its noise.
+
+    A slack cable may, and a sensor at the end of its range.
+    """
+    run = silent_rows(values)
+    if run is None or len(np.unique(recording.trial[run])) < _STUCK_TRIALS:
+        return None
+    reading_n = float(values[run.start])
+    ends = () if arm.sensors.range_n is None else arm.sensors.range_n
+    at_an_end = any(abs(reading_n - end) <= arm.sensors.step_n for end in ends)
+    of_range = at_an_end or reading_n in (0.0, values.min(), values.max())
+    return None if of_range else run
+
+
 def _stuck(
-    recording: Recording, numbers: NDArray[np.int64], nominal_n: Array, moved_n: float
+    recording: Recording,
+    numbers: NDArray[np.int64],
+    nominal_n: Array,
+    moved_n: float,
+    known: set[int],
 ) -> Iterator[Finding]:
     """Channels that stay at one value while the prediction changes; rows have `numbers` from 0.
+
+    Cables (from 0) that are `known` to are left out.
 
     Friction and slack hold a tension too. A dead channel holds it from one trial to the next, and
     a saturated one has the same maximum in several load cycles.
     """
     channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
     for cable, (values, predicted) in enumerate(channels, start=1):
-        if np.ptp(values) == 0.0:  # found already
+        if np.ptp(values) == 0.0 or cable - 1 in known:
             continue
         edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
         runs = [slice(start, end) for start, end in pairwise(edges)]

@@ -2,7 +2,8 @@
 
 A topic is read as sources: messages that name the same joints come from one. A source that has all
 joints gives the rows. Joints that come from several are brought to the times of the slowest. What
-would be a guess is refused: two topics, or two sources, that give the same joint.
+would be a guess is refused: two topics, or two sources, that give the same joint. Where no joint
+states have all joints, poses of tracked frames give the rows, with the efforts of their times.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
-from cablesense_recording.channels import TIME, TRIAL, Kind, RobotChannels, composed
+from cablesense_recording.channels import TIME, TRIAL, Kind, RobotChannels, composed, pose_labels
 from cablesense_recording.mcap_file import TOPIC_OPTION, decoded
 from cablesense_recording.mcap_messages import RawMessage
+from cablesense_recording.pose_messages import POSE_TYPES, FramePoses, frame_poses
 from cablesense_recording.recording import MAX_NUMBERS, RecordingError, one_clock
 
 _NUMBERS_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -100,6 +102,8 @@ class _Bag:
         self.named: dict[str, set[str]] = {}
         self.of_commands: set[str] = set()
         self.ignored: dict[str, str] = {}
+        self.efforts: dict[tuple[str, tuple[str, ...]], _Source] = {}
+        self.pose_counts = array("q")
         self._command: dict[str, Array] = {}
         self._messages = Counter[str]()
         self._count = 0
@@ -144,9 +148,6 @@ class _Bag:
             return
         position = message.position
         effort = message.effort
-        if len(position) == 0:
-            self.ignored[raw.topic] = "has no positions"
-            return
         for what, values in (("position", position), ("effort", effort)):
             if len(values) not in (0, len(names)):
                 raise self._wrong_message(
@@ -154,19 +155,29 @@ class _Bag:
                     f"{what} holds {len(values)} values for {len(names)} names; one for each "
                     "name is right",
                 )
-        key = raw.topic, names, len(effort) > 0
-        source = self.sources.get(key)
-        if source is None:
-            source = _Source(
-                raw.topic, names, tuple(known.values()), tuple(known), len(effort) > 0
-            )
-            self.sources[key] = source
+        if len(position) == 0:
+            self.ignored[raw.topic] = "has no positions"
+            if len(effort) == 0:
+                return
+        as_named = _Source(raw.topic, names, tuple(known.values()), tuple(known), len(effort) > 0)
+        if len(position):
+            source = self.sources.setdefault((raw.topic, names, len(effort) > 0), as_named)
+        else:
+            source = self.efforts.setdefault((raw.topic, names), as_named)
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         source.counts.extend((self._count, min(raw.log_ns, _LATEST_NS), stamp_ns))
-        source.numbers.extend(position[list(source.places)].tolist())
-        efforts = effort[list(source.places)] if len(effort) else np.full(len(known), np.nan)
+        places = list(source.places)
+        positions = position[places] if len(position) else np.full(len(known), np.nan)
+        source.numbers.extend(positions.tolist())
+        efforts = effort[places] if len(effort) else np.full(len(known), np.nan)
         source.numbers.extend(efforts.tolist())
         self._number_count += 3 + 2 * len(known)
+
+    def wanted(self, raw: RawMessage) -> bool:
+        """Whether a message is to be taken; poses are counted, and read where they are needed."""
+        if raw.kind in POSE_TYPES:
+            self.pose_counts.append(self._count + 1)
+        return raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE)
 
     def _are_commands(self, topic: str, names: tuple[str, ...]) -> bool:
         """Whether joint states are commands: by the topic's own name, or by their names too.
@@ -212,24 +223,30 @@ def bag_table(
             that fit, several publishers on one, a joint that stands twice in a message.
     """
     bag = _Bag(path, channels, topics)
-    for raw, message in decoded(path, _of_robots):
+    for raw, message in decoded(path, bag.wanted):
         bag.take(raw, message)
-    _refuse_absent(bag, topics)
-    sources = _chosen_sources(bag, topics)
-    notes = [f"Joint states are those of {' and '.join(_topics_of(sources))}."]
-    parts = _one_by_joint(bag, sources)
-    counts, clock_ns, position, torque, clock_notes = _merged(path, parts, channels)
-    notes += clock_notes
-    table = {TIME: (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9}
-    trial_topic = _one_of(bag, "trials", list(bag.trials), topics, _topics_of(sources)[0])
+    tracked = _tracked(bag, topics)
+    _refuse_absent(bag, topics, tracked)
+    if tracked:
+        states_topic = tracked[0].topic
+        counts, clock_ns, table, notes = _of_poses(bag, tracked)
+    else:
+        sources = _chosen_sources(bag, topics)
+        states_topic = _topics_of(sources)[0]
+        notes = [f"Joint states are those of {' and '.join(_topics_of(sources))}."]
+        parts = _one_by_joint(bag, sources)
+        counts, clock_ns, position, torque, clock_notes = _merged(path, parts, channels)
+        notes += clock_notes
+        table = dict(zip(channels.labels(Kind.POSITION), position.T, strict=True))
+        table |= zip(channels.labels(Kind.TORQUE), torque.T, strict=True)
+    table[TIME] = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
+    trial_topic = _one_of(bag, "trials", list(bag.trials), topics, states_topic)
     if trial_topic:
         trial = bag.trials[trial_topic].at(counts, 1)[:, 0]
         numbered = np.isfinite(trial)
         if numbered.any():
             table[TRIAL] = np.where(numbered, trial, np.nanmin(trial) - 1.0)
-    table |= zip(channels.labels(Kind.POSITION), position.T, strict=True)
-    table |= zip(channels.labels(Kind.TORQUE), torque.T, strict=True)
-    command_topic = _one_of(bag, "commands", list(bag.commands), topics, _topics_of(sources)[0])
+    command_topic = _one_of(bag, "commands", list(bag.commands), topics, states_topic)
     if command_topic:
         command = bag.commands[command_topic].at(counts, len(channels.actuators))
         table |= zip(channels.labels(Kind.COMMAND), command.T, strict=True)
@@ -242,16 +259,81 @@ def bag_table(
     return table, notes
 
 
-def _of_robots(raw: RawMessage) -> bool:
-    return raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE)
+def _tracked(bag: _Bag, topics: Sequence[str]) -> list[FramePoses]:
+    """Poses of frames, where the joint states lack a joint; the one with fewest rows first."""
+    covered = {joint for source in bag.sources.values() for joint in source.joints}
+    if not bag.pose_counts or len(covered) == len(bag.channels.joints):
+        return []
+    found = frame_poses(bag.path, bag.channels.frames, topics, bag.pose_counts)
+    return sorted(found, key=lambda each: len(each.counts))
+
+
+def _of_poses(
+    bag: _Bag, tracked: Sequence[FramePoses]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], dict[str, Array], list[str]]:
+    """Counts and times (R,), ns, of the slowest frame's poses, all columns, and sentences.
+
+    Other poses, and the positions and efforts that joint states have, are brought to these times.
+
+    Raises:
+        RecordingError: stamps run back, or two topics give the same joint.
+    """
+    slowest = tracked[0]
+    labels_of_joints = bag.channels.labels(Kind.POSITION), bag.channels.labels(Kind.TORQUE)
+    series: list[tuple[str, NDArray[np.int64], list[str], Array]] = []
+    for each in tracked:
+        series.append((each.topic, each.counts_and_times, pose_labels(each.frame), each.poses))
+    for source in (*bag.sources.values(), *bag.efforts.values()):
+        labels = [names[joint] for names in labels_of_joints for joint in source.joints]
+        values = source.values.reshape(len(source), -1)
+        finite = np.flatnonzero(np.isfinite(values).any(axis=0)).tolist()
+        kept_labels = [labels[number] for number in finite]
+        series.append((source.topic, source.counts_and_times, kept_labels, values[:, finite]))
+    notes = [
+        f"Poses of {each.frame} are those of {each.topic}, in the axes of "
+        f"{each.parent or '(no name)'}, which must be those of the model's base."
+        for each in tracked
+    ]
+    clock_ns, note = one_clock(*slowest.counts_and_times[:, 1:].T)
+    notes += [note] if note else []
+    kept = np.ones(len(clock_ns), dtype=bool)
+    columns: dict[str, Array] = {}
+    for number, (topic, times, labels, values) in enumerate(series):
+        twice = [label for label in labels if label in columns]
+        if twice:
+            raise RecordingError(
+                f"{bag.path}: {topic} gives {some_of(twice)}, as another topic or publisher does; "
+                "record one"
+            )
+        brought = values
+        if number:
+            own_ns, _ = one_clock(*times[:, 1:].T)
+            back = np.flatnonzero(np.diff(own_ns) <= 0)
+            if back.size:
+                raise RecordingError(
+                    f"{bag.path}: the stamps of {topic} stand still or run back in their message "
+                    f"{back[0] + 2}; each must be later than the one before"
+                )
+            known, brought_values = _brought_to(clock_ns, own_ns, values[:, None, :])
+            brought = brought_values[:, 0]
+            kept &= known
+        columns |= zip(labels, brought.T, strict=True)
+    if not kept.any():
+        raise RecordingError(
+            f"{bag.path}: poses of {slowest.frame} and the other topics have no time in common; "
+            "stamp them by one clock"
+        )
+    counts = slowest.counts_and_times[:, 0]
+    table = {label: values[kept] for label, values in columns.items()}
+    return counts[kept], clock_ns[kept], table, notes
 
 
 def _topics_of(sources: Sequence[_Source]) -> list[str]:
     return list(dict.fromkeys(source.topic for source in sources))
 
 
-def _refuse_absent(bag: _Bag, topics: Sequence[str]) -> None:
-    present = {*bag.named, *bag.commands, *bag.trials}
+def _refuse_absent(bag: _Bag, topics: Sequence[str], tracked: Sequence[FramePoses]) -> None:
+    present = {*bag.named, *bag.commands, *bag.trials, *(each.topic for each in tracked)}
     absent = [topic for topic in topics if topic not in present]
     if absent:
         raise RecordingError(

@@ -6,7 +6,7 @@ CSV files and bags become the same table of channels, and the same checks are ma
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from cablesense_recording.channel_checks import (
     constant_channels,
     dead_position,
     dead_torque,
+    huge_values,
     leap_sentence,
     leaps,
     leaps_and_returns,
@@ -28,14 +29,28 @@ from cablesense_recording.channel_checks import (
 )
 from cablesense_recording.channels import TIME, TRIAL, Channel, Kind, RobotChannels
 from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.efforts import (
+    MEANINGS,
+    READ_FIRST,
+    Effort,
+    Meaning,
+    chosen_efforts,
+    effort_sentences,
+    in_known_units,
+    stated_efforts,
+)
 from cablesense_recording.joint_states import bag_table
 from cablesense_recording.mcap_file import is_bag
+from cablesense_recording.poses import Kinematics, with_positions
 from cablesense_recording.recording import Finding, RecordingError
 
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
 
-_PREFIXES = (TIME, "time", TRIAL, "position.", "torque.", "command.")
+_PREFIXES = (
+    *(TIME, "time", TRIAL, "position.", "command.", "pose."),
+    *(f"{word}." for word in MEANINGS),
+)
 _STILL_S = 0.5
 _STILL_SHARE = 0.01
 """A joint slower than this share of its largest speed is standing still."""
@@ -60,9 +75,11 @@ class RobotRecording:
         time_s: (R,) beginning anew where a file does.
         trial: (R,) 0 to T - 1, blocks that are held out whole.
         position: (R, J) of the joints, rad or m.
-        torque: (R, J) of the drives at the joints, N·m or N; NaN for joints without.
+        torque: (R, J) of the drives at the joints, N·m or N, but for currents whose factor is
+            unknown; NaN for joints without.
         command: (R, A) of the actuators' inputs; NaN for those without.
         notes: what was read, what was changed, and what is odd, as sentences.
+        efforts: (J,) what the torques were recorded as; torques where it is empty.
     """
 
     name: str
@@ -72,6 +89,19 @@ class RobotRecording:
     torque: Array
     command: Array
     notes: tuple[str, ...] = ()
+    efforts: tuple[Effort, ...] = ()
+
+    @property
+    def stated_efforts(self) -> tuple[bool, ...]:
+        """(J,) whether a user has said what the efforts are."""
+        joints = self.position.shape[1]
+        return tuple(each.stated for each in self.efforts) or (False,) * joints
+
+    @property
+    def unknown_gain(self) -> NDArray[np.bool_]:
+        """(J,) whether torques are currents whose torque constant is unknown."""
+        unknown = [each.factor is None for each in self.efforts]
+        return np.array(unknown or [False] * self.position.shape[1])
 
     def __len__(self) -> int:
         """How many rows."""
@@ -98,11 +128,19 @@ class _Part:
 
 
 def read_robot_recording(
-    path: str | Path, channels: RobotChannels, topics: Sequence[str] = (), *, force: bool = False
+    path: str | Path,
+    channels: RobotChannels,
+    topics: Sequence[str] = (),
+    *,
+    efforts: Sequence[str] = (),
+    kinematics: Kinematics | None = None,
+    force: bool = False,
 ) -> RobotRecording:
     """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
 
     Files of a folder do not share trials. `topics` are those of a bag to read where several fit.
+    `efforts` state what efforts are, where these are no torques in N·m or N, as of
+    `efforts.stated_efforts`. With `kinematics` joints that have no positions are found by poses.
     With `force` a channel that stands still while its joint moves is no reason to refuse.
 
     Raises:
@@ -112,14 +150,21 @@ def read_robot_recording(
     """
     path = Path(path)
     notes: list[str] = []
+    stated = stated_efforts(efforts, channels.joint_numbers, channels.joint_names)
     bag = is_bag(path)
     if bag:
+        nothing: list[set[Meaning]] = [set() for _ in channels.joints]
+        channels = replace(channels, efforts=chosen_efforts(nothing, stated))
         table, notes = bag_table(path, channels, topics)
         tables = {path: table}
     else:
         if topics:
             raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
         tables = {file: _labelled(file, channels) for file in _files(path)}
+        channels, tables = _with_efforts(path, tables, channels, stated)
+    for file, table in tables.items():
+        tables[file], sentences = with_positions(file, table, channels, kinematics)
+        notes += sentences
     parts = [_part(file, table, channels, bag) for file, table in tables.items()]
     for part in parts:
         notes += part.notes
@@ -146,6 +191,9 @@ def read_robot_recording(
         notes += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
+    measured = np.flatnonzero(np.isfinite(torque).any(axis=0)).tolist()
+    of_measured = [channels.efforts[joint] for joint in measured]
+    notes += effort_sentences(of_measured, [channels.joint_names[joint] for joint in measured])
     if not np.isfinite(torque).any():
         notes += _constant_commands(channels, every["command"])
     return RobotRecording(
@@ -153,9 +201,10 @@ def read_robot_recording(
         time_s=every[TIME],
         trial=trial,
         position=every["position"],
-        torque=torque,
+        torque=in_known_units(torque, channels.efforts),
         command=every["command"],
         notes=(*notes, note),
+        efforts=channels.efforts,
     )
 
 
@@ -199,6 +248,47 @@ def _labelled(path: Path, channels: RobotChannels) -> _Columns:
     return table
 
 
+def _with_efforts(
+    path: Path, tables: dict[Path, _Columns], channels: RobotChannels, stated: Mapping[int, Effort]
+) -> tuple[RobotChannels, dict[Path, _Columns]]:
+    """The channels by the kinds of efforts that columns name, and the tables with their labels.
+
+    Of a joint that has several the torque is read: logs have currents beside it.
+
+    Raises:
+        RecordingError: a column says otherwise than a user.
+    """
+    columns = {column for table in tables.values() for column in table}
+    present = [
+        {meaning for meaning in Meaning if f"{meaning.value}.{joint}" in columns}
+        for joint in channels.joints
+    ]
+    try:
+        chosen = chosen_efforts(present, stated)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from error
+    of_efforts = replace(channels, efforts=chosen)
+    known = set(channels.joints)
+    any_torque = any(Meaning.TORQUE in meanings for meanings in present)
+    labelled = {}
+    for file, table in tables.items():
+        labelled[file] = dict(table)
+        for column in table:
+            word, _, joint = column.partition(".")
+            surplus = word in MEANINGS and joint not in known and word != Meaning.TORQUE.value
+            if surplus and any_torque:
+                del labelled[file][column]  # as a log's `current.motor_3`
+        for joint, label, meanings in zip(
+            channels.joints, of_efforts.labels(Kind.TORQUE), present, strict=True
+        ):
+            in_table = [each for each in Meaning if f"{each.value}.{joint}" in table]
+            efforts = {each: labelled[file].pop(f"{each.value}.{joint}") for each in in_table}
+            first = next((each for each in READ_FIRST if each in meanings), None)
+            if first in efforts:
+                labelled[file][label] = efforts[first]
+    return of_efforts, labelled
+
+
 def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _Part:
     """One file as arrays, from the first row on in which all its channels have begun.
 
@@ -219,6 +309,9 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     begin, end = _begun(table, measured)
     for channel in measured:
         _refuse_gaps(path, channel, table[channel.label], begin, end)
+        if channel.kind not in (Kind.TIME, Kind.TRIAL):
+            for finding in huge_values(channel.label, table[channel.label]):
+                raise RecordingError(f"{path}: {finding.text}")
     numbered = any(channel.kind is Kind.TRIAL for channel in measured)
     trial = np.zeros(rows, dtype=np.int64)
     if numbered:

@@ -321,6 +321,15 @@ def inverse_dynamics(
     return joint_forces
 
 
+def gravity_torque(model: mujoco.MjModel, position: Array) -> Array:
+    """(R, J) generalised forces that hold the bodies against gravity, without springs."""
+    held = copy.copy(model)
+    held.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING
+    held.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
+    still = np.zeros_like(position)
+    return inverse_dynamics(held, position, still, still)
+
+
 def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
     """(T, J) what the model's actuators make of commands (T, U)."""
     model = robot.model

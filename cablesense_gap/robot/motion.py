@@ -193,6 +193,8 @@ class Motion(Trajectory):
         external: whether positions were measured outside the drives.
         noise: of what was measured.
         inertia: (J,) that each joint feels alone.
+        gain: (J,) N·m or N that one unit of the recorded torques is taken for.
+        unknown_gain: (J,) whether that is an estimate, which is fitted.
     """
 
     torque: Array
@@ -213,6 +215,8 @@ class Motion(Trajectory):
     external: bool
     noise: Noise
     inertia: Array
+    gain: Array
+    unknown_gain: NDArray[np.bool_]
 
     @cached_property
     def paths(self) -> list[Array]:

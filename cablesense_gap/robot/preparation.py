@@ -19,6 +19,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from cablesense_base import Array
+from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
@@ -56,6 +57,8 @@ _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
 _FEWEST_ROWS = 30
+_WIDER = 1.2
+"""Times the bandwidth that is tried next, where too few rows are left of a short recording."""
 _FEWEST_SAMPLES = 16
 _GLITCH_SAMPLES = 5
 _GLITCH_DEVIATIONS = 6.0
@@ -71,6 +74,7 @@ def prepared(
     *,
     zeroed: bool = False,
     external: bool = False,
+    gain: Array | None = None,
 ) -> Motion:
     """The recording's motion and torques; by default compared as far as torques have power.
 
@@ -78,10 +82,72 @@ def prepared(
     otherwise, the comparison goes forward in time. With `zeroed` encoders, set to zero where each
     trial starts, each trial has the zeros that fit it. Positions that were measured outside the
     drives, `external`, are compared with the commands of position servos; torques are then those
-    that the nominal robot needs.
+    that the nominal robot needs. Of a short recording more rows are left at a wider bandwidth, so
+    by default it is as wide as it must be.
+
+    Currents whose torque constant is unknown are brought to torques by the `gain` (J,), as of
+    another recording of the robot; without one by that which fits the nominal robot best.
 
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
+    """
+    unknown = recording.unknown_gain & np.isfinite(recording.torque).any(axis=0)
+    options = (robot, bandwidth_hz, forward, zeroed, external)
+    if not unknown.any() or external:
+        return _as_wide_as_needed(recording, *options)
+    if gain is None:
+        as_recorded = _as_wide_as_needed(recording, robot, bandwidth_hz, False, zeroed, external)
+        gain = 1.0 / np.abs(effort_readings(robot, as_recorded).gain)
+    gain = np.where(unknown, gain, 1.0)
+    in_torque = replace(recording, torque=recording.torque * gain)
+    motion = _as_wide_as_needed(in_torque, *options)
+    return replace(motion, gain=gain, unknown_gain=unknown)
+
+
+def _as_wide_as_needed(
+    recording: RobotRecording,
+    robot: Robot,
+    bandwidth_hz: float | None,
+    forward: bool | None,
+    zeroed: bool,
+    external: bool,
+) -> Motion:
+    """As `prepared`, of a recording with torques; at a bandwidth that leaves enough rows."""
+    least_hz = _LEAST_HZ
+    while True:
+        try:
+            return _prepared(
+                recording, robot, bandwidth_hz, forward, zeroed, external, least_hz=least_hz
+            )
+        except _FewRowsError as few:
+            if bandwidth_hz is not None or few.at_widest:
+                raise
+            least_hz = _WIDER * few.compared_hz
+
+
+class _FewRowsError(RecordingError):
+    """Too few rows are left at a bandwidth, which may be the widest that their rate allows."""
+
+    def __init__(self, text: str, compared_hz: float, *, at_widest: bool) -> None:
+        super().__init__(text)
+        self.compared_hz = compared_hz
+        self.at_widest = at_widest
+
+
+def _prepared(
+    recording: RobotRecording,
+    robot: Robot,
+    bandwidth_hz: float | None,
+    forward: bool | None,
+    zeroed: bool,
+    external: bool,
+    *,
+    least_hz: float,
+) -> Motion:
+    """As `prepared`, with a bandwidth of at least `least_hz`, where none is stated.
+
+    Raises:
+        _FewRowsError: too few rows are left.
     """
     trials, interval_s = _evenly_sampled(recording)
     rate_hz = 1.0 / interval_s
@@ -92,7 +158,7 @@ def prepared(
         made = [_modelled(robot, t, rate_hz, most_hz, needed=external) for t in trials]
         trials = [replace(t, torque=torque) for t, torque in zip(trials, made, strict=True)]
     if bandwidth_hz is None:
-        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), _LEAST_HZ, most_hz))
+        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), least_hz, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
         compared_hz = bandwidth_hz
     else:
@@ -118,9 +184,12 @@ def prepared(
     joined["trial"] = trial = np.unique(joined["trial"], return_inverse=True)[1]
     numbers, compared_trial = np.unique(trial[kept], return_inverse=True)
     if len(kept) < _FEWEST_ROWS or len(numbers) < 2:
-        raise RecordingError(
+        raise _FewRowsError(
             f"{recording.name}: {len(kept)} rows of {len(numbers)} trials are left of it after "
-            "smoothing; record trials of several seconds"
+            f"smoothing to {compared_hz:.3g} Hz, where {_FEWEST_ROWS} rows of 2 are needed; "
+            "record more trials of several seconds",
+            compared_hz,
+            at_widest=compared_hz >= most_hz,
         )
     scale = _scale(joined, moving, inertia)
     torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
@@ -147,6 +216,8 @@ def prepared(
         external=external,
         noise=noise,
         inertia=inertia,
+        gain=np.ones(len(robot.joints)),
+        unknown_gain=np.zeros(len(robot.joints), dtype=bool),
     )
 
 
@@ -242,7 +313,8 @@ def _frequency_below(
 
 def _mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
     """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
-    count = min(int(np.median([len(s) for s in signals])), int(_SPECTRUM_S * rate_hz))
+    longest = max(int(_SPECTRUM_S * rate_hz), _FEWEST_SAMPLES)
+    count = min(int(np.median([len(s) for s in signals])), longest)
     long_signals = [s for s in signals if len(s) >= count]
     spectra = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in long_signals]
     return spectra[0][0], np.asarray(np.mean([density for _, density in spectra], axis=0))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
-from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.model import Robot, gravity_torque
+from cablesense_gap.robot.poses import PoseKinematics, frames_of
 from cablesense_recording.channels import RobotChannels
+from cablesense_recording.efforts import Meaning
 from cablesense_recording.robot_recording import RobotRecording as RobotRecording
 from cablesense_recording.robot_recording import read_robot_recording
 
@@ -24,6 +28,7 @@ def channels_of(robot: Robot) -> RobotChannels:
         torque_units=robot.torque_units,
         limited=tuple(robot.model.jnt_limited.astype(bool).tolist()),
         driven=_driven(robot),
+        frames=frames_of(robot),
     )
 
 
@@ -37,14 +42,29 @@ def _driven(robot: Robot) -> tuple[bool, ...]:
 
 
 def read_recording(
-    path: str | Path, robot: Robot, topics: Sequence[str] = (), *, force: bool = False
+    path: str | Path,
+    robot: Robot,
+    topics: Sequence[str] = (),
+    *,
+    efforts: Sequence[str] = (),
+    force: bool = False,
 ) -> RobotRecording:
     """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
 
     Files of a folder do not share trials. `topics` are those of a bag to read where several fit.
+    `efforts` state what efforts are, as `gap diagnose --effort` does; to those that lack gravity's
+    torque the model's is added.
     With `force` a channel that stands still while its joint moves is no reason to refuse.
 
     Raises:
         RecordingError: as `cablesense_recording.robot_recording.read_robot_recording`.
     """
-    return read_robot_recording(path, channels_of(robot), topics, force=force)
+    channels = channels_of(robot)
+    recording = read_robot_recording(
+        path, channels, topics, efforts=efforts, kinematics=PoseKinematics(robot), force=force
+    )
+    lacks = [each.meaning is Meaning.WITHOUT_GRAVITY for each in recording.efforts]
+    if not any(lacks):
+        return recording
+    gravity = gravity_torque(robot.model, recording.position)
+    return replace(recording, torque=recording.torque + np.where(lacks, gravity, 0.0))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -20,6 +20,7 @@ from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects import RobotEffect
+from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.forward import ForwardComparison
 from cablesense_gap.robot.inverse import OF_POSITION, InverseComparison, ServoComparison
 from cablesense_gap.robot.model import Robot, RobotError
@@ -97,7 +98,8 @@ class RobotSystem(System):
         ]
         named = [self._candidate(e, motion) for e in offered if not e.tolerance]
         self.candidates = tuple(candidate for candidate in named if candidate.places)
-        self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
+        fitted = [self._candidate(e, motion) for e in offered if e.tolerance]
+        self.tolerances = tuple(candidate for candidate in fitted if candidate.places)
         self.readings = self.comparison.readings / self.comparison.noise
         self.scale = self.comparison.noise
         self.trial = self.comparison.trial
@@ -116,7 +118,7 @@ class RobotSystem(System):
             parameters = tuple(p for p in parameters if p.role == "size")
         return Candidate(
             effect.name,
-            effect.places(self.robot),
+            _places(effect, self.robot, motion),
             parameters,
             against_motion=effect.against_motion,
         )
@@ -170,8 +172,9 @@ class RobotSystem(System):
         return tuple(zeros_by_trial)
 
     def with_listed(self, values: Assignment) -> RobotSystem:
-        """The same robot with these values added to those that it lists."""
-        system = RobotSystem(self.robot, self.motion, added(self.listed, values))
+        """The same robot with these values added to those that it lists, and known gains."""
+        known = replace(self.motion, unknown_gain=np.zeros(len(self.robot.joints), dtype=bool))
+        system = RobotSystem(self.robot, known, added(self.listed, values))
         system.recording_name = self.recording_name
         system.row_count = self.row_count
         return system
@@ -317,6 +320,17 @@ class RobotSystem(System):
         return sentences
 
 
+def _places(effect: RobotEffect, robot: Robot, motion: Motion) -> tuple[str, ...]:
+    """Where an effect can be: torque constants that are unknown are no cause of a gap."""
+    places = effect.places(robot)
+    unknown = {robot.joints[j] for j in np.flatnonzero(motion.unknown_gain)}
+    if effect.of_currents:
+        return tuple(place for place in places if place in unknown)
+    if effect.of_gains and unknown:
+        return tuple(place for place in robot.joints if place not in unknown)
+    return places
+
+
 @dataclass(frozen=True)
 class RobotDiagnosis:
     """A verdict, and the channels behind it as measured and predicted.
@@ -346,7 +360,7 @@ def wrong_columns(
     bandwidth_hz: float | None = None,
     zeroed: bool = False,
 ) -> list[str]:
-    """Columns that look exchanged or reversed to the nominal model, as sentences.
+    """Columns that look exchanged, reversed or of another unit to the nominal model, as sentences.
 
     The arguments are as of `diagnose`.
 
@@ -358,6 +372,11 @@ def wrong_columns(
         compared = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
         return RobotSystem(robot, compared, beside)
 
+    if np.isfinite(recording.torque).any():
+        compared = prepared(recording, robot, bandwidth_hz, forward=False, zeroed=zeroed)
+        suspect = effort_readings(robot, compared, recording.stated_efforts).suspect
+        if suspect:
+            return list(suspect)
     exchanged = doubts.exchanged(recording, robot, lambda each: by_torque(each).left_shares())
     return exchanged or by_torque(recording).reversed_channels()
 
@@ -393,13 +412,12 @@ def diagnose(
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
-    options = {"zeroed": zeroed, "external": external}
-    motion = prepared(recording, robot, bandwidth_hz, forward, **options)
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed, external=external)
 
     suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     if suspect and not force:
         raise RecordingError(
-            f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
+            f"{recording.name}: {'; '.join(suspect)}: correct the recording, or continue with "
             "--force"
         )
     system = RobotSystem(robot, motion, beside)
@@ -425,11 +443,26 @@ def diagnose(
             *doubts.beyond_range(recording, robot),
             *doubts.servos_read(robot, motion),
             *(() if zeroed else doubts.starts_at_zero(recording)),
-            *system.doubtful(),
+            *_of_efforts(recording, system),
             system.compared,
         ),
         beside=beside,
     )
+
+
+def _of_efforts(recording: RobotRecording, system: RobotSystem) -> Iterator[str]:
+    """What is odd about the units of channels, and gains that were estimated, as sentences."""
+    motion = system.motion
+    robot = system.robot
+    if motion.by_command or motion.external or motion.forward:
+        yield from system.doubtful()
+    else:
+        yield from effort_readings(robot, motion, recording.stated_efforts).doubts
+    for joint in np.flatnonzero(motion.unknown_gain).tolist():
+        yield (
+            f"1 A at {robot.joints[joint]} is taken for {motion.gain[joint]:.3g} "
+            f"{robot.torque_units[joint]}, and how much more or less it is, is fitted."
+        )
 
 
 def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
@@ -441,7 +474,7 @@ def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
     motion = system.motion
     alike = {"zeroed": motion.zeroed, "external": motion.external}
     reference_motion = prepared(
-        reference, system.robot, motion.compared_hz, motion.forward, **alike
+        reference, system.robot, motion.compared_hz, motion.forward, **alike, gain=motion.gain
     )
     known = RobotSystem(system.robot, reference_motion, system.listed)
     known.recording_name = reference.name

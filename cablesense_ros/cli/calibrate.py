@@ -10,7 +10,14 @@ import typer
 
 from cablesense_base.files import output_file
 from cablesense_contact.felt_arm import FeltArm
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, titled_table
+from cablesense_ros.cli.options import (
+    ForceOption,
+    JsonOption,
+    TopicsOption,
+    print_json,
+    print_notes,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,6 +53,7 @@ def calibrate(
             show_default="the time of its file",
         ),
     ] = None,
+    topic: TopicsOption = None,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
@@ -69,7 +77,7 @@ def calibrate(
 
     output_file(out, force=force, inputs=(recording, arm, model))
     described = open_arm(arm)
-    recorded = read_recording(recording, described)
+    recorded = read_recording(recording, described, topic or ())
     law = law_of(described, arm, model)
     unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
     calibration = Calibrator(FeltArm(described), law).from_poses(unloaded)
@@ -79,6 +87,7 @@ def calibrate(
     calibration = replace(calibration, made_from=made_from)
     write_calibration(out, calibration, described)
     description = calibration_description(calibration, described, law)
+    print_notes(recorded.notes, json_output)
     if json_output:
         print_json({"file": str(out), **description})
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,8 +16,10 @@ from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
+    TopicsOption,
     VerboseOption,
     WorkersOption,
+    print_notes,
     print_summary,
     refuse_given,
 )
@@ -64,6 +67,7 @@ def evaluate(
             "it; without it, the recording's unloaded rows say so."
         ),
     ] = None,
+    topic: TopicsOption = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="With --recording: also draw estimated against true forces, .png."),
@@ -92,7 +96,7 @@ def evaluate(
     """
     models = model or []
     if recording is None:
-        refuse_given(context, ("picture", "force", "calibration"), "without --recording")
+        refuse_given(context, ("picture", "force", "calibration", "topic"), "without --recording")
         if len(models) > 1:
             raise OptionError("several --model go with --recording alone; give one")
     if recording is not None:
@@ -104,7 +108,8 @@ def evaluate(
             refuse_given(context, ["force"], "without --picture")
         else:
             output_file(picture, force=force, inputs=(recording, *models))
-        title, content = _recorded(recording, models, calibration, picture)
+        title, content, notes = _recorded(recording, models, calibration, picture, topic or ())
+        print_notes(notes, json_output)
         lines = recorded_lines(content)
     elif table2:
         unused = ("samples", "seed", "workers")
@@ -153,8 +158,13 @@ def _table2(model: str) -> Result:
 
 
 def _recorded(
-    recording: Path, models: list[str], calibration: Path | None, picture: Path | None
-) -> Result:
+    recording: Path,
+    models: list[str],
+    calibration: Path | None,
+    picture: Path | None,
+    topics: Sequence[str],
+) -> tuple[str, dict[str, Any], tuple[str, ...]]:
+    """Title and figures, and what was read of the recording, as sentences."""
     from cablesense_contact.calibration_file import read_calibration
     from cablesense_contact.inference.metadata import find_model
     from cablesense_gap.recorded_contacts import open_estimator, recorded_errors
@@ -163,18 +173,20 @@ def _recorded(
     from cablesense_recording.checks import read_recording
 
     errors = {}
+    notes: tuple[str, ...] = ()
     for name in models:
         estimator = open_estimator(find_model(name))
         arm = estimator.metadata.arm
         known = None if calibration is None else read_calibration(calibration, FeltArm(arm))
-        errors[name] = recorded_errors(
-            read_recording(recording, arm), estimator, calibration=known
-        )
+        recorded = read_recording(recording, arm, topics)
+        notes = recorded.notes
+        errors[name] = recorded_errors(recorded, estimator, calibration=known)
     if picture is not None:
         with style():
             image = image_bytes(drawn_errors(errors), "png")
         write_atomically(picture, image, OptionError)
-    return f"Known loads of {recording.name}", {n: each.as_json() for n, each in errors.items()}
+    figures = {name: each.as_json() for name, each in errors.items()}
+    return f"Known loads of {recording.name}", figures, notes
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:

@@ -18,6 +18,7 @@ from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.options import (
     ColumnsOption,
+    EffortOption,
     ForceOption,
     JsonOption,
     ModelOption,
@@ -80,7 +81,7 @@ PositionsOption = Annotated[
         "the drives, as by a camera, and are compared with the commands of position servos."
     ),
 ]
-OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
+OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions", "effort")
 _SHOWN_N = 0.05
 """Unexplained readings from this on are stated."""
 
@@ -99,6 +100,7 @@ def diagnose(
     positions: PositionsOption = "drive",
     topic: TopicsOption = None,
     columns: ColumnsOption = None,
+    effort: EffortOption = None,
     reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
@@ -133,7 +135,9 @@ def diagnose(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
-        read = partial(read_recording, robot=robot, topics=topic or (), force=force)
+        read = partial(
+            read_recording, robot=robot, topics=topic or (), efforts=effort or (), force=force
+        )
         with diagnosis_progress(console) as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
@@ -242,6 +246,7 @@ def predict(
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
     topic: TopicsOption = None,
+    effort: EffortOption = None,
     settle: Annotated[
         int,
         typer.Option(
@@ -275,11 +280,10 @@ def predict(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot, topic or ())
-        robot_options = {"zeroed": zeroed, "external": positions == "external"}
-        system = RobotSystem(
-            robot, prepared(recorded, robot, bandwidth, forward, **robot_options), beside
-        )
+        recorded = read_recording(recording, robot, topic or (), efforts=effort or ())
+        external = positions == "external"
+        motion = prepared(recorded, robot, bandwidth, forward, zeroed=zeroed, external=external)
+        system = RobotSystem(robot, motion, beside)
         write_prediction(out, system)
         gaps = system.gaps()
         figures = {"rows": system.row_count, "gap": {name: gap for name, _, gap, _ in gaps}}

@@ -16,6 +16,7 @@ from cablesense_base.files import output_file, output_folder
 from cablesense_ros.cli.options import (
     DaskOption,
     DurationOption,
+    EffortOption,
     ForceOption,
     JsonOption,
     ModelOption,
@@ -170,6 +171,7 @@ def watch(
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     topic: TopicsOption = None,
+    effort: EffortOption = None,
     workers: WorkersOption = 2,
     dask_scheduler: DaskOption = None,
     force: ForceOption = False,
@@ -186,12 +188,16 @@ def watch(
 
     if model is not None:
         refuse_given(context, ["arm"], "with --model")
+    else:
+        refuse_given(context, ["effort"], "without --model")
     if dask_scheduler is not None:
         refuse_given(context, ["workers"], "with --dask-scheduler")
     first, *later = series(folder)
     output_folder(out, WATCH_FILES, force=force, inputs=(first, *later))
     topics = topic or ()
-    read, diagnosed, machine = _of_robot(model, topics) if model else _of_arm(arm, topics)
+    read, diagnosed, machine = (
+        _of_robot(model, topics, effort or ()) if model else _of_arm(arm, topics)
+    )
     console = Console(stderr=json_output)
 
     def read_and_told(path: Path) -> Any:
@@ -234,12 +240,12 @@ def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
     return partial(read_recording, arm=nominal, topics=topics), _arm_verdict, nominal
 
 
-def _of_robot(model: Path, topics: Sequence[str]) -> _Machine:
+def _of_robot(model: Path, topics: Sequence[str], efforts: Sequence[str]) -> _Machine:
     from cablesense_gap.robot.amending import load_amended
     from cablesense_gap.robot.recording import read_recording
 
     robot, beside = load_amended(model)
-    read = partial(read_recording, robot=robot, topics=topics)
+    read = partial(read_recording, robot=robot, topics=topics, efforts=efforts)
     return read, _robot_verdict, (robot, beside)
 
 

@@ -53,6 +53,17 @@ ColumnsOption = Annotated[
         show_default="the names of docs/recordings.md",
     ),
 ]
+EffortOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effort",
+        metavar="[JOINT=]MEANING[:FACTOR]",
+        help="With --model: what the efforts of all joints or of one are: torque, current, or "
+        "torque_without_gravity. FACTOR is N·m or N by one unit of them (0.001 of mN·m); the "
+        "torque constant of a current without one is fitted. May be given several times.",
+        show_default="what the columns state, else torque",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 VerboseOption = Annotated[
     bool, typer.Option("--verbose", help="Print all figures, as tables, after the summary.")
@@ -168,6 +179,13 @@ def diagnosis_progress(console: Console) -> Iterator[DiagnosisProgress]:
     )
     with Progress(*columns, console=console) as progress:
         yield DiagnosisProgress(progress)
+
+
+def print_notes(notes: Iterable[str], as_json: bool) -> None:
+    """Print what was read of a recording and how; beside JSON, on standard error."""
+    console = Console(stderr=as_json)
+    for note in notes:
+        console.print(note, soft_wrap=True, markup=False, highlight=False)
 
 
 def print_json(content: Any) -> None:

@@ -18,7 +18,9 @@ from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
+    TopicsOption,
     print_json,
+    print_notes,
     refuse_given,
     titled_table,
 )
@@ -51,6 +53,7 @@ def calibrate(
     arm: Annotated[
         str, typer.Option(help="Arm of the recording: a path, or the name of a bundled one.")
     ] = "cdsm",
+    topic: TopicsOption = None,
     gravity: Annotated[
         float | None,
         typer.Option(
@@ -88,10 +91,10 @@ def calibrate(
         as_recorded = maps.calibrated(described, database, earlier, str(recorded_with))
     if recording is not None:
         of_arm = open_arm(arm)
-        recorded = read_recording(recording, of_arm)
+        recorded = read_recording(recording, of_arm, topic or ())
         as_recorded = as_recorded.arranged(of_arm.cable_names)
     else:
-        refuse_given(context, ["arm"], "without --recording")
+        refuse_given(context, ["arm", "topic"], "without --recording")
     known = sensor_calibration.read_known_loads(loads, described.cable_names)
     weighed = any(load.mass_kg is not None for of_cable in known.values() for load in of_cable)
     if not weighed:
@@ -118,6 +121,7 @@ def calibrate(
         cables=cables,
     )
     maps.write_calibration(out, calibration)
+    print_notes(() if recorded is None else recorded.notes, json_output)
     if json_output:
         print(calibration.model_dump_json(indent=2))
         return
@@ -187,6 +191,7 @@ def check(
     ] = None,
     namespace: Annotated[str, typer.Option(help="Live: of the arm's nodes.")] = "",
     columns: ColumnsOption = None,
+    topic: TopicsOption = None,
     json_output: JsonOption = False,
 ) -> None:
     """Check rate, jitter, noise, steps and drift, and that no channel is stuck or exchanged.
@@ -212,6 +217,7 @@ def check(
         refuse_given(context, ["columns"], "without a recording")
         from cablesense_ros.recorder import capture_tensions
 
+        refuse_given(context, ["topic"], "without a recording")
         pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
         unknown = [cable for cable in pulled if cable not in names]
         if unknown:
@@ -224,8 +230,9 @@ def check(
     else:
         refuse_given(context, ["pull", "seconds", "namespace"], "on a recording")
         meant = None if columns is None else read_column_map(columns, described).unloaded
-        readings = read_recording(recording, described, columns=meant)
-        report = check_sensors(readings, names, expected)
+        recorded = read_recording(recording, described, topic or (), columns=meant)
+        print_notes(recorded.notes, json_output)
+        report = check_sensors(recorded, names, expected)
     if json_output:
         print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:

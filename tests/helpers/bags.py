@@ -33,9 +33,11 @@ class Bag:
         self.file.close()
 
     def joint_state(self, topic, log_ns, stamp_ns, names, **fields):
-        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
+        values = {
+            name: np.ascontiguousarray(value, dtype=np.float64) for name, value in fields.items()
+        }
         empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
-        header = _header(stamp_ns, "base_link")
+        header = header_of(stamp_ns, "base_link")
         message = STORE.types[JOINT_STATE_TYPE](header, list(names), **(empty | values))
         self.put(topic, log_ns, message)
 
@@ -44,7 +46,7 @@ class Bag:
         force = vector(*map(float, force_n))
         torque = vector(*map(float, torque_n_m))
         wrench = STORE.types["geometry_msgs/msg/Wrench"](force, torque)
-        message = STORE.types[WRENCH_TYPE](_header(stamp_ns, frame_id), wrench)
+        message = STORE.types[WRENCH_TYPE](header_of(stamp_ns, frame_id), wrench)
         self.put(topics.APPLIED_WRENCH, log_ns, message)
 
     def trial(self, log_ns, number):
@@ -115,6 +117,6 @@ def write_joint_states(path, table, topic="/joint_states", joints=None):
     return path
 
 
-def _header(stamp_ns, frame_id):
+def header_of(stamp_ns, frame_id):
     stamp = STORE.types["builtin_interfaces/msg/Time"](*divmod(int(stamp_ns), 1_000_000_000))
     return STORE.types["std_msgs/msg/Header"](stamp, frame_id)

@@ -30,6 +30,9 @@ class RobotEffect(EffectDescription):
         presliding_forward: whether the forward comparison uses its presliding displacement too.
         of_torques: whether it is in readings of torques alone.
         of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
+        of_gains: whether it is at joints whose torque constant is known, as stated, and not at
+            those whose torques are currents without one.
+        of_currents: whether it is at the latter alone.
         of_servos: whether it shows only where motion is compared with the commands of servos.
     """
 
@@ -42,6 +45,8 @@ class RobotEffect(EffectDescription):
     of_torques: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
     of_servos: ClassVar[bool] = False
+    of_gains: ClassVar[bool] = False
+    of_currents: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Places of a robot that the effect can be in, by name."""

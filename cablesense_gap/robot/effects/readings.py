@@ -50,6 +50,7 @@ class TorqueScale(RobotEffect):
     advice = "Measure the torque constant with a weight on a lever, and compare the gear ratio."
     in_model = False
     of_torques = True
+    of_gains = True
     numbers = (size("share", "1", 0.9, 0.05, "read too much"),)
 
     def places(self, robot: Robot) -> tuple[str, ...]:
@@ -134,6 +135,22 @@ class DriveTolerance(RobotEffect):
         change.torque_offset[at] += values["torque_n_m"]
         change.damping[at] *= 1.0 + values["damping_share"]
         change.armature[at] *= 1.0 + values["rotor_share"]
+
+
+class CurrentGain(RobotEffect):
+    """Torque constants that nobody has stated, about those that fit the nominal robot best.
+
+    These are off as far as the masses of the model are, which is as far as they are known.
+    """
+
+    name = "current_gain"
+    about = "torque constants that are unknown"
+    adds = "torque_scale"
+    tolerance = True
+    in_model = False
+    of_torques = True
+    of_currents = True
+    numbers = (size("share", "1", 3.0, 0.3, "read too much", least=-0.9),)
 
 
 class TimingTolerance(TorqueDelay):

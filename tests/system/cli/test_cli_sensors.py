@@ -109,3 +109,15 @@ def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_p
     (sensor,) = load_calibration(out).cables.values()
     assert sensor.scale_n_per_unit == pytest.approx(0.5, rel=1e-4)
     assert sensor.zero == pytest.approx(75.0, rel=1e-4)
+
+
+def test_of_two_arms_in_a_bag_a_topic_chooses_one_and_is_named(tmp_path):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    write_mcap(bag / "bag_0.mcap", series(good_tensions_n()), ARM, "left")
+    write_mcap(bag / "bag_1.mcap", series(good_tensions_n()), ARM, "right")
+    refused = run(bag)
+    assert "choose one, as with --topic /left/" in str(refused.exception)
+    result = run(bag, "--topic", "/right/cable_tensions")
+    assert result.exit_code == 0, result.output
+    assert "/right/cable_tensions" in result.output

@@ -18,6 +18,7 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("replay run.mcap --force", "--force"),
         ("gap diagnose r.csv --out d --bandwidth 5", "--bandwidth"),
         ("gap diagnose r.csv --out d --model m.xml --arm my_arm", "--arm"),
+        ("gap diagnose r.csv --out d --effort current", "--effort"),
         ("gap predict r.csv --out p.csv --model m.xml --settle 9", "--settle"),
         ("evaluate --table2 --seed 1 --workers 2", "--seed, --workers"),
         ("evaluate --recording loads.csv --model cdsm_anywhere --samples 300", "--samples"),
@@ -30,6 +31,9 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("sensors check run.csv --seconds 20", "--seconds"),
         ("sensors check run.csv --pull all", "--pull"),
         ("sensors calibrate loads.csv --out c.yaml --arm cdsm_lab", "--arm"),
+        ("sensors calibrate loads.csv --out c.yaml --topic /t", "--topic"),
+        ("sensors check --topic /t", "--topic"),
+        ("evaluate --topic /t", "--topic"),
     ],
 )
 def test_what_would_be_ignored_is_refused_by_name(arguments, option):
