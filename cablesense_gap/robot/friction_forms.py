@@ -1,0 +1,252 @@
+"""Which form the friction of a joint has: laws that are compared on held-out trials.
+
+The laws are made of parts, and those with fewer parts are contained in those with more: Coulomb,
+viscous, presliding (Dahl), a fall with the speed (Stribeck), both (LuGre), and in proportion to
+the load. Six such laws for servo drives are compared in Duclusaud et al., Extended friction models
+for the physics simulation of servo actuators, ICRA 2025.
+
+The search works with plain forms (`richer` of an effect has the numbers beyond). Here hypotheses
+get richer forms where held-out trials ask for them (`enriched`), and the verdict says which law
+they ask for (`forms`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from cablesense_gap.diagnosis.fitting import MOST_STEPS, refine
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
+from cablesense_gap.robot.effects import LOPSIDED, PRESLIDING, SIDE, STRIBECK, STRIBECK_SPEED
+from cablesense_gap.simulator import Candidate, Term
+from cablesense_gap.verdict import FrictionForm
+
+DRY = "joint_friction"
+BY_LOAD = "load_friction"
+VISCOUS = "viscous_friction"
+FRICTION = (DRY, BY_LOAD, VISCOUS)
+"""Effects that are friction of joints, in one form or another."""
+_ENRICHED = 4
+"""Hypotheses with friction that get richer forms: the best of the search, and their parts."""
+_MOST_JOINTS = 3
+"""Joints of a verdict whose laws are compared: the others are named without a form."""
+_FACTORS = {PRESLIDING: (1.0, 10.0), STRIBECK_SPEED: (0.3, 1.0, 3.0)}
+"""By which shapes are multiplied where fits begin: their influence is far from linear."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of friction: its parts, and the numbers that it has of each effect."""
+
+    name: str
+    parts: frozenset[str]
+    numbers: Mapping[str, tuple[str, ...]]
+
+
+def _law(name: str, **numbers: tuple[str, ...]) -> Law:
+    """A law by the numbers that it has of each effect; the parts follow."""
+    part_of = {
+        "torque_n_m": "dry",
+        "torque_s_n_m": "viscous",
+        "share": "load",
+        PRESLIDING: "presliding",
+        STRIBECK: "Stribeck",
+        LOPSIDED: "by direction",
+    }
+    named = [part_of[n] for group in numbers.values() for n in group if n in part_of]
+    return Law(name, frozenset(named), numbers)
+
+
+_TORQUE = ("torque_n_m",)
+_FALL = (STRIBECK, STRIBECK_SPEED)
+_LOSS = ("share", SIDE)
+_ALWAYS = {DRY: (PRESLIDING,), BY_LOAD: (PRESLIDING,)}
+"""Numbers that an effect has in every law."""
+_PLAIN = {"viscous_friction": ("torque_s_n_m",)}
+LAWS = (
+    _law("Coulomb", joint_friction=_TORQUE),
+    _law("viscous", **_PLAIN),
+    _law("viscous, by direction", viscous_friction=("torque_s_n_m", LOPSIDED)),
+    _law("Dahl", joint_friction=(*_TORQUE, PRESLIDING)),
+    _law("Stribeck", joint_friction=(*_TORQUE, *_FALL)),
+    _law("LuGre", joint_friction=(*_TORQUE, PRESLIDING, *_FALL)),
+    _law("by the load", load_friction=_LOSS),
+    _law("by the load, with presliding", load_friction=(*_LOSS, PRESLIDING)),
+    _law("by the load, with Stribeck", load_friction=(*_LOSS, PRESLIDING, *_FALL)),
+)
+"""Those without viscous friction; each but the viscous ones may have that in addition."""
+
+
+def enriched(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypotheses; the best with friction have richer forms where held-out trials show them.
+
+    Parts of these are tried alike: what a plain form left, another effect may have explained.
+    """
+    candidates = {c.effect: c for c in problem.simulator.candidates}
+    by_effects = {hypothesis.effects: hypothesis for hypothesis in found}
+    for effects, values in _worth_enriching(problem, found, candidates).items():
+        plain = by_effects.get(effects)
+        fitted = _fitted_from(problem, values)
+        if fitted is None:
+            continue
+        if plain is None or problem.shows(fitted, plain):
+            by_effects[effects] = fitted
+    return list(by_effects.values())
+
+
+def _worth_enriching(
+    problem: Problem, found: Sequence[Hypothesis], candidates: Mapping[str, Candidate]
+) -> dict[tuple[str, ...], dict[Term, float]]:
+    """Values with the numbers of richer forms by effects: of the best, and of their parts."""
+    with_friction = [h for h in found if _friction_of(h.values, candidates)]
+    best = sorted(with_friction, key=problem.score)[:_ENRICHED]
+    alone = [h for h in with_friction if len(h.effects) == 1]
+    worth: dict[tuple[str, ...], dict[Term, float]] = {}
+    for hypothesis in [*best, *alone]:
+        for kept in _parts(hypothesis):
+            values = {t: v for t, v in hypothesis.values.items() if t.effect in kept}
+            if kept not in worth and _friction_of(values, candidates):
+                worth[kept] = _with_richer(values, candidates)
+    return worth
+
+
+def _parts(hypothesis: Hypothesis) -> Iterator[tuple[str, ...]]:
+    """Effects of the hypothesis, the same without each one, and those of friction alone."""
+    yield hypothesis.effects
+    for left_out in hypothesis.effects:
+        yield tuple(effect for effect in hypothesis.effects if effect != left_out)
+    yield tuple(effect for effect in hypothesis.effects if effect in FRICTION)
+
+
+def _friction_of(
+    values: Mapping[Term, float], candidates: Mapping[str, Candidate]
+) -> list[tuple[str, str]]:
+    """Locations of effects that have a richer form."""
+    locations = dict.fromkeys(term[:2] for term in values)
+    return [(effect, place) for effect, place in locations if candidates[effect].richer]
+
+
+def _with_richer(
+    values: Mapping[Term, float], candidates: Mapping[str, Candidate]
+) -> dict[Term, float]:
+    whole = dict(values)
+    for effect, place in _friction_of(values, candidates):
+        for parameter in candidates[effect].richer:
+            start = parameter.typical if parameter.role == "size" else parameter.default
+            whole.setdefault(Term(effect, place, parameter.name), start)
+    return whole
+
+
+def _fitted_from(
+    problem: Problem, values: Mapping[Term, float], held: Collection[Term] = ()
+) -> Hypothesis | None:
+    """The values fitted, from the best of several shapes that all places have alike.
+
+    Those `held` stay at the lower end of their range: bristles there are as good as rigid.
+    """
+    parameters = {term: problem.parameters[term] for term in values}
+    for term in held:
+        parameter = parameters[term]
+        parameters[term] = replace(parameter, high=parameter.low, default=parameter.low)
+    starts = []
+    for factors in product(*_FACTORS.values()):
+        by_name = dict(zip(_FACTORS, factors, strict=True))
+        started = {
+            term: parameters[term].default * by_name[term.parameter]
+            if term.parameter in by_name
+            else value
+            for term, value in values.items()
+        }
+        starts.append([to_scaled(parameters[term], value) for term, value in started.items()])
+    starts.append([to_scaled(parameters[term], value) for term, value in values.items()])
+    return refine(problem, parameters, starts, MOST_STEPS)
+
+
+def forms(problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
+    """By joint, the law that held-out trials ask for, and whether they tell it from the others."""
+    joints: dict[str, float] = {}
+    for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
+        parameter = problem.parameters[term]
+        if term.effect in FRICTION and parameter.role == "size":
+            size = float(np.sqrt((column**2).mean())) * abs(to_scaled(parameter, value))
+            joints[term.place] = joints.get(term.place, 0.0) + size
+    largest = sorted(joints, key=lambda joint: -joints[joint])[:_MOST_JOINTS]
+    return {joint: _form_at(problem, hypothesis, joint) for joint in largest}
+
+
+def _form_at(problem: Problem, hypothesis: Hypothesis, joint: str) -> FrictionForm:
+    """The law with the fewest parts than which no other is clearly better on held-out trials."""
+    rest = {
+        term: value
+        for term, value in hypothesis.values.items()
+        if term.effect not in FRICTION or term.place != joint
+    }
+    own = {
+        term: value
+        for term, value in hypothesis.values.items()
+        if term.effect in FRICTION and term.place == joint
+    }
+    viscous = any(term.effect == VISCOUS for term in own)
+    laws = _laws(problem, viscous=viscous)
+    fits: dict[str, Hypothesis] = {}
+    for law in laws:
+        start = {**rest, **_start_of(problem, law, joint, own)}
+        bristles = [term for term in start if term[1:] == (joint, PRESLIDING)]
+        rigid = bristles if "presliding" not in law.parts else []
+        fitted = _fitted_from(problem, start, rigid)
+        if fitted is not None:
+            fits[law.name] = fitted
+    apt = [law for law in laws if law.name in fits and not _is_beaten(problem, fits, law.name)]
+    chosen = min(apt, key=lambda law: (len(law.parts), fits[law.name].held_out_rmse))
+    rivals = [law.name for law in apt if not chosen.parts <= law.parts]
+    return FrictionForm(
+        law=chosen.name,
+        determined=not rivals,
+        rivals=tuple(rivals),
+        left_n={name: fitted.held_out_rmse for name, fitted in fits.items()},
+    )
+
+
+def _laws(problem: Problem, *, viscous: bool) -> list[Law]:
+    """Laws that this comparison has, each also with viscous friction if that was found."""
+    candidates = {c.effect: c for c in problem.simulator.candidates}
+    known = {
+        effect: {p.name for p in (*candidates[effect].parameters, *candidates[effect].richer)}
+        for effect in FRICTION
+        if effect in candidates
+    }
+    offered = [
+        law
+        for law in LAWS
+        if all(known.get(effect, set()) >= set(names) for effect, names in law.numbers.items())
+    ]
+    if not viscous:
+        return offered
+    both = [
+        Law(f"{law.name} and viscous", law.parts | {"viscous"}, {**law.numbers, **_PLAIN})
+        for law in offered
+        if "viscous" not in law.parts
+    ]
+    return [*offered, *both]
+
+
+def _start_of(
+    problem: Problem, law: Law, joint: str, own: Mapping[Term, float]
+) -> dict[Term, float]:
+    """Numbers of a law at a joint: as they were found, else typical ones."""
+    values = {}
+    for effect, names in law.numbers.items():
+        for name in dict.fromkeys((*names, *_ALWAYS.get(effect, ()))):
+            term = Term(effect, joint, name)
+            parameter = problem.parameters[term]
+            usual = parameter.typical if parameter.role == "size" else parameter.default
+            values[term] = own.get(term, usual)
+    return values
+
+
+def _is_beaten(problem: Problem, fits: Mapping[str, Hypothesis], name: str) -> bool:
+    """Whether another law is clearly better on held-out trials."""
+    return any(problem.shows(other, fits[name]) for other in fits.values())
