@@ -4,10 +4,10 @@
 
 LuGre's, Stribeck's and load-dependent friction are hidden in turn at one joint of the three robots
 of `robot_sets`; bristles are integrated in time by `cablesense_plants`, which shares no code with
-the diagnosis. Friction counts as named if the verdict names the joint's friction and nothing else.
-The form is judged where three floors tell it: where every law without a part of the true one
-leaves at least three floors more on held-out trials, in quadrature over all joints. Seed 1 was used
-while the diagnosis was made.
+the diagnosis. Friction counts as named if the verdict names the joint's friction and nothing
+else. The form is judged where three floors tell it: where every law without a part of the true
+one leaves at least three floors more on held-out trials, in quadrature over all joints. Seed 1
+was used while the diagnosis was made.
 """
 
 from __future__ import annotations
