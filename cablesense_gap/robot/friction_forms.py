@@ -29,6 +29,11 @@ BY_LOAD = "load_friction"
 VISCOUS = "viscous_friction"
 FRICTION = (DRY, BY_LOAD, VISCOUS)
 """Effects that are friction of joints, in one form or another."""
+_TORQUE_SCALE = "torque_scale"
+_EXCHANGED = {BY_LOAD: _TORQUE_SCALE, _TORQUE_SCALE: BY_LOAD}
+"""Effects that are one where loads always oppose the motion."""
+_BEST_EXCHANGED = 2
+"""Hypotheses in which these are exchanged: the best."""
 _ENRICHED = 4
 """Hypotheses with friction that get richer forms: the best of the search, and their parts."""
 _MOST_JOINTS = 3
@@ -78,6 +83,37 @@ LAWS = (
     _law("by the load, with Stribeck", load_friction=(*_LOSS, PRESLIDING, *_FALL)),
 )
 """Those without viscous friction; each but the viscous ones may have that in addition."""
+
+
+def with_imitators(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypotheses, and the best with friction by the load exchanged for a torque constant.
+
+    Where loads always oppose the motion, or always help it, the two are one. The search keeps one
+    of effects that are so alike; a verdict is to name both.
+    """
+    candidates = {c.effect: c for c in problem.simulator.candidates}
+    if not _EXCHANGED.keys() <= candidates.keys():
+        return list(found)
+    by_effects = {hypothesis.effects: hypothesis for hypothesis in found}
+    for hypothesis in sorted(found, key=problem.score)[:_BEST_EXCHANGED]:
+        for one, other in _EXCHANGED.items():
+            places = [place for effect, place in hypothesis.locations if effect == one]
+            if other in hypothesis.effects or not places:
+                continue
+            if not set(places) <= set(candidates[other].places):
+                continue
+            values = {t: value for t, value in hypothesis.values.items() if t.effect != one}
+            for place in places:
+                for parameter in candidates[other].parameters:
+                    usual = parameter.typical if parameter.role == "size" else parameter.default
+                    values[Term(other, place, parameter.name)] = usual
+            fitted = _fitted_from(problem, values)
+            known = by_effects.get(() if fitted is None else fitted.effects)
+            if fitted is not None and (
+                known is None or problem.score(fitted) < problem.score(known)
+            ):
+                by_effects[fitted.effects] = fitted
+    return list(by_effects.values())
 
 
 def enriched(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:

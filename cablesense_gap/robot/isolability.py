@@ -52,6 +52,8 @@ _PLAIN = 3.0
 """Times the size from which an effect is named, at which it is compared with others."""
 _SIZES = np.geomspace(0.02, 300.0, 40)
 """In typical ones, that are tried."""
+CONFUSED = NEAR_BEST / (1.0 + NEAR_BEST)
+"""Share of another effect, of two, from which on a verdict has both in its group."""
 _WEIGHTINGS = 3
 """Solutions of one fit, each at the weight of what the last one left."""
 _MOST_BLOCKS = 3
@@ -80,8 +82,8 @@ class Isolability:
         named_from: (S,) of that number, the size from which a verdict names the effect rather than
             none; infinite where none within its range does.
         shown: (S,) floors by which the effect changes the channels beyond what tolerances imitate.
-        left: (S, E) the same beyond what each other effect imitates too, in its best place.
-        told: (S, E) whether a verdict on the first would not have the other in its group.
+        share: (S, E) probability of each other effect, in its best place, where a verdict weighs
+            it against the true one; a half if nothing tells them apart.
         seen: (S,) whether a verdict would name the effect rather than none.
         compared: how they are compared, as a sentence.
     """
@@ -91,44 +93,38 @@ class Isolability:
     units: tuple[str, ...]
     named_from: Array
     shown: Array
-    left: Array
-    told: NDArray[np.bool_]
+    share: Array
     seen: NDArray[np.bool_]
     compared: str
 
     def imitators(self, site: int) -> tuple[str, ...]:
         """Effects that a verdict could name instead of one, the most alike first."""
-        order = np.argsort(self.left[site])
+        order = np.argsort(-self.share[site])
         own = self.sites[site].effect
         return tuple(
             self.effects[e]
             for e in order.tolist()
-            if not self.told[site, e] and self.effects[e] != own
+            if self.share[site, e] >= CONFUSED and self.effects[e] != own
         )
 
     def worst(self) -> Array:
-        """(E, E) floors that are left at the place where two effects differ least; NaN of one."""
+        """(E, E) the largest share of another effect, over places of the true one; NaN of itself.
+
+        Places at which a verdict would name none do not count.
+        """
         table = np.full((len(self.effects), len(self.effects)), np.nan)
         for k, rows in enumerate(self._named_rows()):
             if len(rows):
-                table[k] = self.left[rows].min(axis=0)
+                table[k] = self.share[rows].max(axis=0)
             table[k, k] = np.nan
-        return table
-
-    def confused(self) -> NDArray[np.bool_]:
-        """(E, E) whether a verdict on one effect may have another in its group, in some place."""
-        table = np.zeros((len(self.effects), len(self.effects)), dtype=bool)
-        for k, rows in enumerate(self._named_rows()):
-            table[k] = ~self.told[rows].all(axis=0)
-            table[k, k] = False
         return table
 
     def may_confuse(self, effect: str, other: str) -> bool:
         """Whether a verdict on either effect may have the other in its group, in some place."""
-        table = self.confused()
+        table = self.worst()
         a = self.effects.index(effect)
         b = self.effects.index(other)
-        return bool(table[a, b] or table[b, a])
+        return bool(max(table[a, b], table[b, a]) >= CONFUSED)
 
     def _named_rows(self) -> list[NDArray[np.int64]]:
         """By effect, the numbers of the sites at which a verdict would name it."""
@@ -235,8 +231,7 @@ def isolability(system: RobotSystem, sizes: Mapping[Site, float] | None = None) 
     sites = tuple(Site(offered[k].effect, offered[k].place) for k in judged)
     first = [parameters[offered[k].varied[0]] for k in judged]
     shape = (len(judged), len(effects))
-    left = np.zeros(shape)
-    told = np.ones(shape, dtype=bool)
+    share = np.zeros(shape)
     shown = np.zeros(len(judged))
     named_from = np.full(len(judged), np.inf)
     seen = np.zeros(len(judged), dtype=bool)
@@ -247,23 +242,21 @@ def isolability(system: RobotSystem, sizes: Mapping[Site, float] | None = None) 
         alone = compared.left(k, None, size)
         named_from[row] = least * first[row].typical
         shown[row] = alone.floors
-        seen[row] = compared.is_named(k, alone)
-        left[row] = shown[row]
+        seen[row] = compared.share_of_rival(k, alone) < CONFUSED
         for column, effect in enumerate(effects):
             rivals = [n for n, other in enumerate(offered) if other.effect == effect and n != k]
             if rivals:
                 fits = [compared.left(k, n, size) for n in rivals]
                 nearest = min(range(len(fits)), key=lambda n: fits[n].cost)
-                left[row, column] = fits[nearest].floors
-                told[row, column] = compared.is_named(k, alone, fits[nearest], rivals[nearest])
+                rival = fits[nearest], rivals[nearest]
+                share[row, column] = compared.share_of_rival(k, alone, rival)
     return Isolability(
         sites=sites,
         effects=effects,
         units=tuple(parameter.unit for parameter in first),
         named_from=named_from,
         shown=shown,
-        left=left,
-        told=told,
+        share=share,
         seen=seen,
         compared=system.compared,
     )
@@ -353,21 +346,26 @@ class _Compared:
     def least_named(self, k: int, most: float) -> float:
         """The size, in typical ones, from which a verdict names an effect, or infinity."""
         for size in _SIZES[most >= _SIZES].tolist():
-            if self.is_named(k, self.left(k, None, size)):
+            if self.share_of_rival(k, self.left(k, None, size)) < CONFUSED:
                 return float(size)
-        return float(most) if self.is_named(k, self.left(k, None, most)) else np.inf
+        named = self.share_of_rival(k, self.left(k, None, most)) < CONFUSED
+        return float(most) if named else np.inf
 
-    def is_named(
-        self, k: int, alone: _Left, other: _Left | None = None, rival: int | None = None
-    ) -> bool:
-        """Whether a verdict names the effect, without the rival, or without none, in its group.
+    def share_of_rival(
+        self, k: int, alone: _Left, rival: tuple[_Left, int] | None = None
+    ) -> float:
+        """Probability of a rival, by default of none, where it is weighed against the true effect.
 
-        `alone` is what tolerances leave of the effect, `other` what the rival leaves with them.
+        `alone` is what tolerances leave of the effect; the rival is what it leaves, and its
+        number.
         """
         floor = self._problem.floor
-        rest = alone if other is None else other
+        rest = alone
+        rival_sizes = 0
+        if rival is not None:
+            rest = rival[0]
+            rival_sizes = self._size_count(rival[1])
         residuals = floor * np.hypot(1.0, [alone.floors, 0.0, rest.floors])
-        rival_sizes = 0 if rival is None else self._size_count(rival)
         weights = log_weights(
             residuals,
             np.array([0, 1, 1]),
@@ -377,8 +375,8 @@ class _Compared:
             floor,
             bundled_calibration(),
         )
-        against = weights[0] if other is None else weights[2]
-        return bool(weights[1] + np.log(NEAR_BEST) > against)
+        against = weights[0] if rival is None else weights[2]
+        return float(1.0 / (1.0 + np.exp(np.clip(weights[1] - against, -50.0, 50.0))))
 
     def _size_count(self, k: int) -> int:
         return int(self._is_size(k).sum())

@@ -220,7 +220,9 @@ class RobotSystem(System):
 
     def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """With richer forms of friction; far tolerances, implausible sizes and places count."""
-        return [doubts.weighed(problem, each) for each in friction_forms.enriched(problem, found)]
+        richer = friction_forms.enriched(problem, found)
+        whole = friction_forms.with_imitators(problem, richer)
+        return [doubts.weighed(problem, each) for each in whole]
 
     def forms(self, problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
         """Those of the joints with most friction."""
