@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,7 +70,7 @@ def main() -> int:
         outcomes = []
         for k in range(options.count):
             kept = folder / f"pair_{k:02d}.json"
-            outcomes.append(harness.kept(kept, lambda k=k: _outcome(k, options.seed)))
+            outcomes.append(harness.kept(kept, partial(_outcome, k, options.seed)))
             print(outcomes[-1], flush=True)
     agree = sum(each["agree"] for each in outcomes)
     found = {

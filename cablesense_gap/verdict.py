@@ -210,7 +210,7 @@ class FrictionForm(FilePart):
     """The law that the friction of one joint follows, as held-out trials tell.
 
     Attributes:
-        law: the plainest law than which no other is clearly better.
+        law: the plainest law than which the best is not clearly better.
         determined: whether every law that does not contain it is clearly worse.
         rivals: laws that are not, though they do not contain it.
         left_n: RMS gap on held-out trials with each law that was compared.

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
 from cablesense_gap.robot.effects import LOPSIDED, PRESLIDING, SIDE, STRIBECK, STRIBECK_SPEED
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_gap.verdict import FrictionForm
+from cablesense_sim.effects.effect import Parameter
 
 DRY = "joint_friction"
 BY_LOAD = "load_friction"
@@ -38,8 +38,10 @@ _ENRICHED = 4
 """Hypotheses with friction that get richer forms: the best of the search, and their parts."""
 _MOST_JOINTS = 3
 """Joints of a verdict whose laws are compared: the others are named without a form."""
-_FACTORS = {PRESLIDING: (1.0, 10.0), STRIBECK_SPEED: (0.3, 1.0, 3.0)}
-"""By which shapes are multiplied where fits begin: their influence is far from linear."""
+_SPEEDS = (0.3, 1.0, 3.0)
+_BENDS = (1.0, 10.0)
+"""By which Stribeck's speed and presliding are multiplied where fits begin: they are far from
+linear."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ def _with_richer(
 def _fitted_from(
     problem: Problem, values: Mapping[Term, float], held: Collection[Term] = ()
 ) -> Hypothesis | None:
-    """The values fitted, from the best of several shapes that all places have alike.
+    """The values fitted, the best of fits from several shapes that all places have alike.
 
     Those `held` stay at the lower end of their range: bristles there are as good as rigid.
     """
@@ -187,18 +189,34 @@ def _fitted_from(
     for term in held:
         parameter = parameters[term]
         parameters[term] = replace(parameter, high=parameter.low, default=parameter.low)
-    starts = []
-    for factors in product(*_FACTORS.values()):
-        by_name = dict(zip(_FACTORS, factors, strict=True))
-        started = {
-            term: parameters[term].default * by_name[term.parameter]
-            if term.parameter in by_name
-            else value
-            for term, value in values.items()
-        }
-        starts.append([to_scaled(parameters[term], value) for term, value in started.items()])
-    starts.append([to_scaled(parameters[term], value) for term, value in values.items()])
-    return refine(problem, parameters, starts, MOST_STEPS)
+    names = {term.parameter for term in values}
+    speeds = _SPEEDS if STRIBECK_SPEED in names else (1.0,)
+    bends = _BENDS if PRESLIDING in names else (1.0,)
+    fits = []
+    for speed in speeds:
+        starts = []
+        for bend in bends:
+            factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
+            starts.append(_scaled(parameters, values, factors))
+        fits.append(refine(problem, parameters, starts, MOST_STEPS))
+    fits.append(refine(problem, parameters, [_scaled(parameters, values, {})], MOST_STEPS))
+    found = [fitted for fitted in fits if fitted is not None]
+    return min(found, key=lambda fitted: fitted.held_out_rmse, default=None)
+
+
+def _scaled(
+    parameters: Mapping[Term, Parameter],
+    values: Mapping[Term, float],
+    factors: Mapping[str, float],
+) -> list[float]:
+    """Values as fits take them; shapes that have a factor are that times their default."""
+    scaled = []
+    for term, value in values.items():
+        parameter = parameters[term]
+        factor = factors.get(term.parameter)
+        start = value if factor is None else factor * parameter.default
+        scaled.append(to_scaled(parameter, start))
+    return scaled
 
 
 def forms(problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
@@ -214,7 +232,7 @@ def forms(problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
 
 
 def _form_at(problem: Problem, hypothesis: Hypothesis, joint: str) -> FrictionForm:
-    """The law with the fewest parts than which no other is clearly better on held-out trials."""
+    """The law with the fewest parts of those that are not clearly worse than the best."""
     rest = {
         term: value
         for term, value in hypothesis.values.items()
@@ -235,7 +253,8 @@ def _form_at(problem: Problem, hypothesis: Hypothesis, joint: str) -> FrictionFo
         fitted = _fitted_from(problem, start, rigid)
         if fitted is not None:
             fits[law.name] = fitted
-    apt = [law for law in laws if law.name in fits and not _is_beaten(problem, fits, law.name)]
+    best = min(fits.values(), key=lambda fitted: fitted.held_out_rmse)
+    apt = [law for law in laws if law.name in fits and not problem.shows(best, fits[law.name])]
     chosen = min(apt, key=lambda law: (len(law.parts), fits[law.name].held_out_rmse))
     rivals = [law.name for law in apt if not chosen.parts <= law.parts]
     return FrictionForm(
@@ -281,8 +300,3 @@ def _start_of(
             usual = parameter.typical if parameter.role == "size" else parameter.default
             values[term] = own.get(term, usual)
     return values
-
-
-def _is_beaten(problem: Problem, fits: Mapping[str, Hypothesis], name: str) -> bool:
-    """Whether another law is clearly better on held-out trials."""
-    return any(problem.shows(other, fits[name]) for other in fits.values())
