@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -34,8 +35,10 @@ _EXCHANGED = {BY_LOAD: _TORQUE_SCALE, _TORQUE_SCALE: BY_LOAD}
 """Effects that are one where loads always oppose the motion."""
 _BEST_EXCHANGED = 2
 """Hypotheses in which these are exchanged: the best."""
-_ENRICHED = 4
+_ENRICHED = 3
 """Hypotheses with friction that get richer forms: the best of the search, and their parts."""
+_MOST_LOCATIONS = 6
+"""Of friction in a hypothesis that gets richer forms: it would have two numbers more in each."""
 _MOST_JOINTS = 3
 """Joints of a verdict whose laws are compared: the others are named without a form."""
 _SPEEDS = (0.3, 1.0, 3.0)
@@ -122,16 +125,24 @@ def enriched(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The hypotheses; the best with friction have richer forms where held-out trials show them.
 
     Parts of these are tried alike: what a plain form left, another effect may have explained.
+    Where a hypothesis leaves nothing to explain, all stay as they are.
     """
+    if any(problem.is_explained(hypothesis) for hypothesis in found):
+        return list(found)
     candidates = {c.effect: c for c in problem.simulator.candidates}
     by_effects = {hypothesis.effects: hypothesis for hypothesis in found}
+    richer: list[Hypothesis] = []
     for effects, values in _worth_enriching(problem, found, candidates).items():
         plain = by_effects.get(effects)
-        fitted = _fitted_from(problem, values)
-        if fitted is None:
-            continue
-        if plain is None or problem.shows(fitted, plain):
+        fitted = _screened(problem, values)
+        if fitted is not None and (plain is None or problem.shows(fitted, plain)):
             by_effects[effects] = fitted
+            richer.append(fitted)
+    if richer:
+        best = min(richer, key=problem.score)
+        again = _fitted_from(problem, best.values)
+        if again is not None and again.held_out_rmse < best.held_out_rmse:
+            by_effects[best.effects] = again
     return list(by_effects.values())
 
 
@@ -146,7 +157,8 @@ def _worth_enriching(
     for hypothesis in [*best, *alone]:
         for kept in _parts(hypothesis):
             values = {t: v for t, v in hypothesis.values.items() if t.effect in kept}
-            if kept not in worth and _friction_of(values, candidates):
+            count = len(_friction_of(values, candidates))
+            if kept not in worth and 0 < count <= _MOST_LOCATIONS:
                 worth[kept] = _with_richer(values, candidates)
     return worth
 
@@ -178,10 +190,20 @@ def _with_richer(
     return whole
 
 
+def _screened(problem: Problem, values: Mapping[Term, float]) -> Hypothesis | None:
+    """The values fitted, from the best of several shapes that all places have alike."""
+    parameters = {term: problem.parameters[term] for term in values}
+    starts = [_scaled(parameters, values, {})]
+    for speed, bend in product(_SPEEDS, _BENDS):
+        factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
+        starts.append(_scaled(parameters, values, factors))
+    return refine(problem, parameters, starts, MOST_STEPS)
+
+
 def _fitted_from(
     problem: Problem, values: Mapping[Term, float], held: Collection[Term] = ()
 ) -> Hypothesis | None:
-    """The values fitted, the best of fits from several shapes that all places have alike.
+    """The values fitted, the best of fits from several speeds that all places have alike.
 
     Those `held` stay at the lower end of their range: bristles there are as good as rigid.
     """
@@ -189,17 +211,14 @@ def _fitted_from(
     for term in held:
         parameter = parameters[term]
         parameters[term] = replace(parameter, high=parameter.low, default=parameter.low)
-    names = {term.parameter for term in values}
-    speeds = _SPEEDS if STRIBECK_SPEED in names else (1.0,)
-    bends = _BENDS if PRESLIDING in names else (1.0,)
-    fits = []
-    for speed in speeds:
-        starts = []
-        for bend in bends:
-            factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
-            starts.append(_scaled(parameters, values, factors))
-        fits.append(refine(problem, parameters, starts, MOST_STEPS))
-    fits.append(refine(problem, parameters, [_scaled(parameters, values, {})], MOST_STEPS))
+    fits = [refine(problem, parameters, [_scaled(parameters, values, {})], MOST_STEPS)]
+    if any(term.parameter == STRIBECK_SPEED for term in values):
+        for speed in _SPEEDS:
+            starts = []
+            for bend in _BENDS:
+                factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
+                starts.append(_scaled(parameters, values, factors))
+            fits.append(refine(problem, parameters, starts, MOST_STEPS))
     found = [fitted for fitted in fits if fitted is not None]
     return min(found, key=lambda fitted: fitted.held_out_rmse, default=None)
 
