@@ -17,6 +17,18 @@ _WORTH_SAYING = 0.005
 """Smaller probabilities are a dot."""
 
 
+def picture_kind(path: Path) -> str:
+    """`svg` or `png`, by the ending of a file's name.
+
+    Raises:
+        ReportError: it has another one.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in _KINDS:
+        raise ReportError(f"{path}: a picture ends with .svg or .png")
+    return kind
+
+
 def write_picture(path: Path, found: Isolability, name: str) -> None:
     """Write a matrix of effects, the true ones by row, as SVG or PNG.
 
@@ -27,9 +39,7 @@ def write_picture(path: Path, found: Isolability, name: str) -> None:
     Raises:
         ReportError: the file's name has another ending, or its place cannot be written to.
     """
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in _KINDS:
-        raise ReportError(f"{path}: a picture ends with .svg or .png")
+    kind = picture_kind(path)
     with style():
         write_atomically(path, _drawn(found, name, kind), ReportError)
 

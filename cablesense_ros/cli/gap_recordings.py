@@ -88,6 +88,9 @@ def protocol(
     else:
         refuse_given(context, ["arm"], "with --model")
         if picture is not None:
+            from cablesense_gap.report.isolability import picture_kind
+
+            picture_kind(picture)
             output_file(picture, force=force, inputs=(model,))
         _robot_protocol(model, out, force, channels, tell_apart, picture)
 
