@@ -120,11 +120,14 @@ class Isolability:
         return table
 
     def may_confuse(self, effect: str, other: str) -> bool:
-        """Whether a verdict on either effect may have the other in its group, in some place."""
+        """Whether a verdict on either effect may have the other in its group, in some place.
+
+        So it may where it would name one of them nowhere.
+        """
         table = self.worst()
         a = self.effects.index(effect)
         b = self.effects.index(other)
-        return bool(max(table[a, b], table[b, a]) >= CONFUSED)
+        return not (table[a, b] < CONFUSED and table[b, a] < CONFUSED)
 
     def _named_rows(self) -> list[NDArray[np.int64]]:
         """By effect, the numbers of the sites at which a verdict would name it."""
@@ -163,16 +166,19 @@ def planned(robot: Robot, blocks: Sequence[RobotBlock], channels: Channels) -> R
     torque_noise = _TORQUE_NOISE * np.maximum(size, 1e-3 * size.max() + 1e-9)
     trial = np.repeat(np.arange(len(blocks)), [len(block.position) for block in blocks])
     measured = channels == "torques"
-    unknown = np.full((len(position), robot.model.nu), np.nan)
+    command = np.full((len(position), robot.model.nu), np.nan)
+    read_torque = np.full_like(torque, np.nan)
+    if measured:
+        read_torque = torque + torque_noise * rng.standard_normal(torque.shape)
+    else:
+        command = np.concatenate(commands)
     recording = RobotRecording(
-        f"plan of {robot.name}",
-        np.arange(len(position)) / RATE_HZ,
-        trial,
-        position + noise * rng.standard_normal(position.shape),
-        torque + torque_noise * rng.standard_normal(torque.shape)
-        if measured
-        else np.full_like(torque, np.nan),
-        unknown if measured else np.concatenate(commands),
+        name=f"plan of {robot.name}",
+        time_s=np.arange(len(position)) / RATE_HZ,
+        trial=trial,
+        position=position + noise * rng.standard_normal(position.shape),
+        torque=read_torque,
+        command=command,
     )
     return RobotSystem(robot, prepared(recording, robot, external=external), {})
 
