@@ -8,7 +8,8 @@ the diagnosis. Friction counts as named if the verdict names the joint's frictio
 else. The form is judged where three floors tell it: where every law without a part of the true
 one leaves at least three floors more on held-out trials, in quadrature over all joints. A law
 that has a part in addition to the true ones is right if that changes less than three floors:
-hard bristles give a little, too. Seed 1 was used while the diagnosis was made.
+hard bristles give a little, too. Friction by the load has bristles of 2 mrad in the plant, so it
+is right with presliding and without. Seed 1 was used while the diagnosis was made.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from cablesense_plants.robot import friction
 from cablesense_plants.robot.cases import RobotCase, draw_case, record
 
 _FORMS = {"lugre": "LuGre", "stribeck": "Stribeck", "load_dependent": "by the load"}
+_RIGHT = {"by the load": ("by the load", "by the load, with presliding")}
 _TELLING_FLOORS = 3.0
 _NAMED_SHARE = 22 / 24
 
@@ -134,7 +136,7 @@ def _is_right(form: FrictionForm, truth: str) -> bool:
     """Whether the law is the true one, or has all its parts and leaves about as much."""
     parts = {law.name: law.parts for law in LAWS}
     name = form.law.partition(" and ")[0]
-    if name == truth:
+    if name in _RIGHT.get(truth, (truth,)):
         return True
     if not parts[name] >= parts[truth]:
         return False
