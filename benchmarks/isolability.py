@@ -1,13 +1,13 @@
 """Is a planned motion's isolability table what diagnoses of planted effects then do?
 
-    python benchmarks/isolability.py [--count 20] [--seed 9401] [--folder DIR] [--write]
+    python benchmarks/isolability.py [--count 20] [--seed 9402] [--folder DIR] [--write]
 
 Robots of `robot_sets` follow their protocol exactly; torques are those of the rigid bodies, drives
 and sensors of `cablesense_plants`, with tolerances and an effect hidden in one place. Before a
 diagnosis the table says whether the effect would be named, and whether another one would be in the
 verdict's group. In turn that other effect is the one that the table finds most alike, and any
 other. The two agree if the diagnosis names an effect, and has the other one in its group, exactly
-where the table says so. Seed 2 was used while the table was made.
+where the table says so. Seeds 2 and 9401 were used while the table was made.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from cablesense_plants.robot.causes import LISTED, RobotDraw, with_tolerances
 from cablesense_plants.robot.motion import STEP_S, ReferenceMotion, prescribed_n_m
 from cablesense_plants.robot.robots import RealRobot, RobotKind
 
-_ORDER = ("two_links", "finger", "two_links", "finger", "arm_6")
+_ORDER = ("two_links", "two_links", "finger", "finger")
 _TORQUE_NOISE = 0.005
 _ENCODER_RAD = 1e-4
 _GAPS = (2.0, 20.0)
@@ -61,7 +61,7 @@ def main() -> int:
     """Plants, predicts, diagnoses and counts."""
     parser = harness.parser(__doc__, "isolability.json")
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=9401)
+    parser.add_argument("--seed", type=int, default=9402)
     parser.add_argument("--folder", type=Path, help="of what is done, to continue")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:

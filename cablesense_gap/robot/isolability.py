@@ -54,6 +54,8 @@ _SIZES = np.geomspace(0.02, 300.0, 40)
 """In typical ones, that are tried."""
 CONFUSED = NEAR_BEST / (1.0 + NEAR_BEST)
 """Share of another effect, of two, from which on a verdict has both in its group."""
+_MOST_ODDS = 700.0
+"""Of logarithms of odds: farther ones have no exponential."""
 _WEIGHTINGS = 3
 """Solutions of one fit, each at the weight of what the last one left."""
 _MOST_BLOCKS = 3
@@ -382,7 +384,7 @@ class _Compared:
             bundled_calibration(),
         )
         against = weights[0] if rival is None else weights[2]
-        return float(1.0 / (1.0 + np.exp(np.clip(weights[1] - against, -50.0, 50.0))))
+        return float(1.0 / (1.0 + np.exp(np.clip(weights[1] - against, -_MOST_ODDS, _MOST_ODDS))))
 
     def _size_count(self, k: int) -> int:
         return int(self._is_size(k).sum())
