@@ -183,6 +183,7 @@ def diagnose_system(
         parameters=system.numbers(explained, values),
         shares=shares(problem, ranked, values),
         traded=tuple(trade.traded for trade in traded),
+        forms=system.forms(problem, best) if best else {},
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,

@@ -38,6 +38,7 @@ class Candidate:
     Attributes:
         places: where it can sit; `arm` for everywhere at once.
         parameters: its numbers in each place.
+        richer: further numbers, of forms that are tried once the plain one is found.
         history_dependent: whether readings then depend on the past: expensive to simulate.
         against_motion: whether it turns round with the motion, as friction does, so that nothing
             static imitates it.
@@ -48,6 +49,7 @@ class Candidate:
     parameters: tuple[Parameter, ...]
     history_dependent: bool = False
     against_motion: bool = False
+    richer: tuple[Parameter, ...] = ()
 
     def terms(self, place: str) -> tuple[Term, ...]:
         """Its numbers in one place."""
@@ -57,10 +59,10 @@ class Candidate:
 def parameters_of(candidates: Sequence[Candidate]) -> dict[Term, Parameter]:
     """Every number of the candidates in every place, with its unit and range."""
     return {
-        term: parameter
+        Term(candidate.effect, place, parameter.name): parameter
         for candidate in candidates
         for place in candidate.places
-        for term, parameter in zip(candidate.terms(place), candidate.parameters, strict=True)
+        for parameter in (*candidate.parameters, *candidate.richer)
     }
 
 

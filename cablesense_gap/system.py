@@ -16,7 +16,7 @@ from cablesense_gap.diagnosis.nuisance import with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
 from cablesense_gap.explained import estimates
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
-from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Where
+from cablesense_gap.verdict import ChannelGap, FittedNumber, FrictionForm, Gap, Where
 
 FOLDS = 5
 """Fits without a fold keep four fifths of the trials."""
@@ -141,6 +141,10 @@ class System(ABC):
     ) -> dict[str, FittedNumber]:
         """The values, which are those in the places that matter, by name."""
         return estimates(values, hypothesis.deviations, self.candidates)
+
+    def forms(self, problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
+        """By place, the law that the friction of a hypothesis follows; empty without friction."""
+        return {}
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """The recording that distinguishes the first rival from the others.

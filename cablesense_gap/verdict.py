@@ -210,6 +210,22 @@ class Earlier(FilePart):
     now: dict[str, FittedNumber] = Field(default_factory=dict)
 
 
+class FrictionForm(FilePart):
+    """The law that the friction of one joint follows, as held-out trials tell.
+
+    Attributes:
+        law: the plainest law than which the best is not clearly better.
+        determined: whether every law that does not contain it is clearly worse.
+        rivals: laws that are not, though they do not contain it.
+        left_n: RMS gap on held-out trials with each law that was compared.
+    """
+
+    law: str
+    determined: bool
+    rivals: tuple[str, ...] = ()
+    left_n: dict[str, Newtons] = Field(default_factory=dict)
+
+
 class ReferenceGap(FilePart):
     """The healthy recording that a verdict is against; what it names came since.
 
@@ -240,6 +256,7 @@ class Verdict(FilePart):
         parameters: by `effect.parameter`, or `effect.place.parameter` for one place of several.
         shares: of each effect named.
         traded: pairs of these whose shares trade against each other, the largest first.
+        forms: of a robot, by joint, the law of its friction.
         earlier: effects that the arm file listed; the verdict's effects are additional.
         candidates: all hypotheses weighed, in any order.
         reference: present if the verdict says what changed since a healthy recording.
@@ -259,6 +276,7 @@ class Verdict(FilePart):
     gap: Gap
     shares: dict[Name, Share] = Field(default_factory=dict)
     traded: tuple[Traded, ...] = ()
+    forms: dict[PlaceName, FrictionForm] = Field(default_factory=dict)
     earlier: tuple[Earlier, ...] = ()
     tolerances_n: Newtons | None = None
     unexplained_n: Newtons | None = None

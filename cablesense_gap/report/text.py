@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -166,7 +166,22 @@ def cause(verdict: Verdict, name: str) -> str:
     if not verdict.channels:
         return about + _at(places)
     named = listed([place.replace("_into_", " into ") for place in places])
-    return f"{about} at {named}" if places else about
+    return f"{about} at {named}{_law_text(verdict, name, places)}" if places else about
+
+
+_LAW = "'s law"
+_NAMED_LAWS = ("Coulomb", "Dahl", "Stribeck", "LuGre")
+
+
+def _law_text(verdict: Verdict, name: str, places: Sequence[str]) -> str:
+    """The law of dry friction as the end of a phrase, if held-out trials tell it."""
+    known = [verdict.forms[place] for place in places if place in verdict.forms]
+    if name != "joint_friction" or not known:
+        return ""
+    if not all(form.determined for form in known):
+        return ", whose form is not determined"
+    laws = [law for law in _NAMED_LAWS if any(form.law.startswith(law) for form in known)]
+    return f" by {listed([law + _LAW for law in laws])}" if laws else ""
 
 
 def causes_and_advice(verdict: Verdict) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.plain_yaml import FilePart, describe_problem
 from cablesense_gap.robot import effects
-from cablesense_gap.robot.effects import PRESLIDING, SIDE, RobotEffect
+from cablesense_gap.robot.effects import OF_FORM, RobotEffect
 from cablesense_gap.robot.model import Change, Robot, RobotError, load_robot
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_sim.arm import ListedEffect
@@ -81,7 +81,7 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
     remaining = dict(beside)
     for term, value in values.items():
         if term not in _in_model(values):  # what is found again comes on top
-            known = 0.0 if term.parameter in (PRESLIDING, SIDE) else remaining.get(term, 0.0)
+            known = 0.0 if term.parameter in OF_FORM else remaining.get(term, 0.0)
             remaining[term] = known + value
     content = {
         "model": AMENDED_MODEL,
@@ -169,5 +169,5 @@ def _in_model(values: Mapping[Term, float]) -> dict[Term, float]:
     return {
         term: value
         for term, value in values.items()
-        if known_effects()[term.effect].in_model and term.parameter != PRESLIDING
+        if known_effects()[term.effect].in_model and term.parameter not in OF_FORM
     }

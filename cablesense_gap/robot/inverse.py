@@ -22,6 +22,7 @@ from cablesense_gap.robot.motion import (
     Motion,
     MotionComparison,
     Recent,
+    Stribeck,
     Trajectory,
     derivatives,
     noise_of_smoothed,
@@ -91,23 +92,33 @@ class InverseDynamics:
             transmitted -= change.armature * acceleration + change.damping * speed
             transmitted += transmitted @ change.coupling
             transmitted += change.armature * drive[2] + change.damping * drive[1]
-        dry = self._slid(change.friction, change.presliding)
-        by_load = self._slid(change.load_friction, change.load_presliding)
+        dry = self._slid(
+            change.friction, change.presliding, change.stribeck, change.stribeck_speed
+        )
+        by_load = self._slid(
+            change.load_friction,
+            change.load_presliding,
+            change.load_stribeck,
+            change.load_stribeck_speed,
+        )
         loss = by_load * np.sign(transmitted)
         at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side
         if change.capstan_friction.any():
             lost = self._tendons.lost(change, at_drive)
             at_drive = at_drive + lost + lost @ self._robot.geared
-        at_drive = at_drive + dry
+        at_drive = at_drive + dry + change.lopsided * change.damping * np.abs(motion.speed)
         if change.delay_s:
             at_drive = self._later(at_drive, change.delay_s)
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)
 
-    def _slid(self, friction: Array, presliding: Array) -> Array:
-        """(R, J) torque of dry friction, at most (J,), along the motion."""
+    def _slid(
+        self, friction: Array, presliding: Array, stribeck: Array, stribeck_speed: Array
+    ) -> Array:
+        """(R, J) torque of dry friction, (J,) in fast motion, along the motion."""
         friction_torque = np.zeros_like(self._motion.position)
         for j in np.flatnonzero(friction).tolist():
-            key = j, float(presliding[j])
+            more = Stribeck(float(stribeck[j]), float(stribeck_speed[j]))
+            key = j, float(presliding[j]), more
             friction_torque[:, j] = friction[j] * self._slides.of(
                 key, partial(self._motion.slid, *key)
             )

@@ -32,6 +32,11 @@ _ZERO_BY_JOINT = (
     "presliding",
     "load_presliding",
     "load_side",
+    "stribeck",
+    "stribeck_speed",
+    "load_stribeck",
+    "load_stribeck_speed",
+    "lopsided",
     "zero",
     "encoder_scale",
     "torque_scale",
@@ -183,6 +188,9 @@ class Change:
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         load_side: (J,) whether the latter counts by the drive's torque, 1, or by the joint's, -1.
+        stribeck, stribeck_speed: (J,) by how much more dry friction is at rest, as a share, and
+            the speed at which 1/e of that is left; `load_…` of that by the load.
+        lopsided: (J,) by how much more damping is forwards than on average, as a share.
         capstan_friction, capstan_presliding: (K,) coefficient of friction of tendons over their
             guides, and how much cable gives before it slips, m.
         zero: (J,) what each encoder reads at the true zero.
@@ -207,6 +215,11 @@ class Change:
     presliding: Array
     load_presliding: Array
     load_side: Array
+    stribeck: Array
+    stribeck_speed: Array
+    load_stribeck: Array
+    load_stribeck_speed: Array
+    lopsided: Array
     capstan_friction: Array
     capstan_presliding: Array
     zero: Array

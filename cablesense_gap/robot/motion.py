@@ -112,6 +112,22 @@ class Scale:
         return rms(self.torque)
 
 
+class Stribeck(NamedTuple):
+    """By how much more friction is at rest, as a share, and the speed at which 1/e is left."""
+
+    share: float = 0.0
+    speed: float = 1.0
+
+    def over(self, speed: Array) -> Array:
+        """Friction at speeds, by that of fast motion: 1 + share · exp(-(speed / least)²)."""
+        if not self.share:
+            return np.ones_like(speed)
+        return np.asarray(1.0 + self.share * np.exp(-((speed / self.speed) ** 2)))
+
+
+_PLAIN = Stribeck()
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Motion of R rows.
@@ -132,22 +148,27 @@ class Trajectory:
     load: Array
     command: Array
 
-    def slid(self, joint: int, presliding: float) -> Array:
-        """(R,) share of its dry friction, -1 to 1, that acts on a joint: after Dahl.
+    def slid(self, joint: int, presliding: float, stribeck: Stribeck = _PLAIN) -> Array:
+        """(R,) share of its dry friction that acts on a joint: after Dahl, -1 to 1, and LuGre.
 
         A joint that turns round gives elastically over about `presliding`, in the position's
         unit, until it slips the other way; with none, friction turns round with the motion.
         """
         if presliding <= 0.0:
-            return self.direction[:, joint]
+            return self.direction[:, joint] * stribeck.over(self.speed[:, joint])
         unit_motion = np.zeros_like(self.position)
         unit_motion[:, joint] = 1.0
-        return self.slid_along(unit_motion, presliding)
+        return self.slid_along(unit_motion, presliding, stribeck)
 
-    def slid_along(self, by_joint: Array, give: float) -> Array:
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
         """(R,) the same along a way that grows by (R, J) of each joint's motion."""
-        parts = zip(*(self._by_trial(each) for each in (self.position, by_joint)), strict=True)
-        return np.concatenate([_dahl(_way(*part), give) for part in parts])
+        way_speed = (self.speed * by_joint).sum(1)
+        parts = (self._by_trial(each) for each in (self.position, by_joint, way_speed))
+        shares = [
+            _bent(_way(position, along), give, stribeck.over(speed))
+            for position, along, speed in zip(*parts, strict=True)
+        ]
+        return np.concatenate(shares)
 
     def _by_trial(self, rows: Array) -> list[Array]:
         return np.split(rows, np.flatnonzero(np.diff(self.trial)) + 1)
@@ -235,7 +256,7 @@ class Motion(Trajectory):
         first = np.cumsum([0, *map(len, self.paths)])
         return np.concatenate([a + rows for a, rows in zip(first, self.inner, strict=False)])
 
-    def slid_along(self, by_joint: Array, give: float) -> Array:
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
         shares = []
         for path, rows, trial_joints in zip(
@@ -244,7 +265,9 @@ class Motion(Trajectory):
             whole = np.stack(
                 [np.interp(np.arange(len(path)), rows, b) for b in trial_joints.T], axis=1
             )
-            share = _dahl(_way(path, whole), give)
+            way = _way(path, whole)
+            speed = np.diff(way, append=way[-1]) * self.rate_hz
+            share = _bent(way, give, stribeck.over(speed))
             shares.append(smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
         return np.concatenate(shares)
 
@@ -272,14 +295,19 @@ def _way(position: Array, by_joint: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(step.sum(1))])
 
 
-def _dahl(position: Array, presliding: float) -> Array:
-    """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
+def _bent(position: Array, presliding: float, slips_at: Array) -> Array:
+    """Shares (T,) of dry friction along a path (T,), from none at its beginning.
+
+    Bristles bend by LuGre's law, d share = (1 - share / slips_at) d position / presliding, where
+    the joint moves forwards; `slips_at` (T,) is the share at which they slip, 1 by Dahl's law.
+    """
     moved = np.diff(position, prepend=position[0])
-    stays = np.exp(-np.abs(moved) / presliding)
+    stays = np.exp(-np.abs(moved) / (presliding * slips_at))
+    ends = np.sign(moved) * slips_at
     share = 0.0
     shares = []
-    for way, stay in zip(np.sign(moved).tolist(), stays.tolist(), strict=True):
-        share = way + (share - way) * stay
+    for end, stay in zip(ends.tolist(), stays.tolist(), strict=True):
+        share = end + (share - end) * stay
         shares.append(share)
     return np.array(shares)
 

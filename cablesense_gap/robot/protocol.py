@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,12 @@ _RAD_S = 0.5
 _M_S = 0.1
 """Peak speeds of a slow sweep of a hinge and of a slide."""
 _FAST = 2.0
+_FURTHER = (
+    ("very slow sweep", 1.0, 0.3),
+    ("very fast sweep", 1.0, 4.0),
+    ("short sweep", 0.1, 2.0),
+)
+"""Further sweeps: kind, share of the reach, and how often the usual pace."""
 _LONG = 20.0
 _TOGETHER = 4
 _TRIED = 401
@@ -63,12 +70,8 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
     blocks = []
     for j in leading:
         for kind, times in (("slow sweep", 1.0), ("fast sweep", _FAST)):
-            own_s = period_s[j] / times
-            time_s = np.arange(0.0, max(2.0 * own_s, 6.0), 1.0 / RATE_HZ)
-            position = np.tile(middle, (len(time_s), 1))
-            position[:, j] += reach[j] * np.sin(2.0 * np.pi * time_s / own_s)
-            does = _sweep(robot, j, ties, middle[j] - reach[j], middle[j] + reach[j], own_s)
-            blocks.append(RobotBlock(kind, does, _with_followers(position, ties)))
+            swept = _Sweep(j, middle, float(reach[j]), period_s[j] / times)
+            blocks.append(_sweep_block(robot, ties, kind, swept))
     rng = np.random.default_rng(0)
     for _ in range(_TOGETHER):
         time_s = np.arange(0.0, _LONG, 1.0 / RATE_HZ)
@@ -83,6 +86,46 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
             does += f"; {' and '.join(named)} {'follow' if len(named) > 1 else 'follows'}"
         blocks.append(RobotBlock("all joints", does, _with_followers(middle + waves, ties)))
     return blocks
+
+
+class _Sweep(NamedTuple):
+    """A sine of one joint about the middle (J,) of all, how far, and how long each time."""
+
+    joint: int
+    middle: Array
+    reach: float
+    period_s: float
+
+
+def further_blocks(robot: Robot) -> list[RobotBlock]:
+    """Blocks beside the protocol's, of which a question may ask for some.
+
+    Each joint goes alone: slower, faster, and to and fro over a short way, which shows how it
+    turns round.
+    """
+    ties = _followed_ties(robot)
+    following = {tie.joint for tie in ties}
+    middle, reach = _ranges(robot, ties)
+    speed = np.where([unit == "rad" for unit in robot.position_units], _RAD_S, _M_S)
+    period_s = np.maximum(2.0 * np.pi * reach / speed, _LEAST_PERIOD_S)
+    blocks = []
+    for j in range(len(robot.joints)):
+        if j in following:
+            continue
+        for kind, share, times in _FURTHER:
+            swept = _Sweep(j, middle, share * float(reach[j]), period_s[j] / times)
+            blocks.append(_sweep_block(robot, ties, kind, swept))
+    return blocks
+
+
+def _sweep_block(robot: Robot, ties: Sequence[JointTie], kind: str, swept: _Sweep) -> RobotBlock:
+    time_s = np.arange(0.0, max(2.0 * swept.period_s, 6.0), 1.0 / RATE_HZ)
+    position = np.tile(swept.middle, (len(time_s), 1))
+    position[:, swept.joint] += swept.reach * np.sin(2.0 * np.pi * time_s / swept.period_s)
+    centre = float(swept.middle[swept.joint])
+    ends = centre - swept.reach, centre + swept.reach
+    does = _sweep(robot, swept.joint, ties, *ends, swept.period_s)
+    return RobotBlock(kind, does, _with_followers(position, ties))
 
 
 def _sweep(

@@ -17,7 +17,7 @@ from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
-from cablesense_gap.robot import doubts
+from cablesense_gap.robot import doubts, friction_forms
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.efforts import effort_readings
@@ -30,7 +30,7 @@ from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.system import FOLDS, Altered, System, Unlisted
-from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
+from cablesense_gap.verdict import ChannelGap, FrictionForm, Gap, Verdict, Where
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
 
@@ -116,11 +116,13 @@ class RobotSystem(System):
         parameters = effect.parameters(self.robot, motion.scale)
         if motion.forward and not effect.presliding_forward:
             parameters = tuple(p for p in parameters if p.role == "size")
+        richer = () if motion.forward else effect.richer(self.robot, motion.scale)
         return Candidate(
             effect.name,
             _places(effect, self.robot, motion),
             parameters,
             against_motion=effect.against_motion,
+            richer=richer,
         )
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
@@ -220,8 +222,14 @@ class RobotSystem(System):
         return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
 
     def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The same; far tolerances, implausible sizes and further places count against them."""
-        return [doubts.weighed(problem, each) for each in found]
+        """With richer forms of friction; far tolerances, implausible sizes and places count."""
+        richer = friction_forms.enriched(problem, found)
+        whole = friction_forms.with_imitators(problem, richer)
+        return [doubts.weighed(problem, each) for each in whole]
+
+    def forms(self, problem: Problem, hypothesis: Hypothesis) -> dict[str, FrictionForm]:
+        """Those of the joints with most friction."""
+        return friction_forms.forms(problem, hypothesis)
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
         """Joints, bodies and tendons of the effects; of a coupling the joint of its drive."""

@@ -17,6 +17,8 @@ STEP_S = 1e-3
 """Step of the simulation and of the robots' controller."""
 _STEPS_OF_PLAY = 5
 """Within one step, where teeth touch and part."""
+_SWING_RAD = 0.7
+"""Phase, at most, by which a joint swings on its bristles in one step."""
 _TAPER = 0.16
 """Share of a trial at both ends: how long sines take to come and to go."""
 _MOVE_S = 0.9
@@ -134,6 +136,7 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
             lost[k] = lost_n_m(joint[0][k], drive[k] + lost[k - 1])
         drive = drive + lost
     drive = drive + np.tanh(motor[1] / 0.01) * robots.kinetic_n_m(motor[0], motor[1], drive)
+    drive = drive + robots.bristles.steady_n_m(motor[1])
     return robots.read_n_m(drive / robots.passed_share(motor[0]), time_s)[:, 0]
 
 
@@ -197,9 +200,13 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     push = _push(robots, _times_s(len(asked.angle)), kind.trial_s)
     lost_n_m = kind.rubbing and kind.rubbing(robots.capstan, home)
     bristle = np.zeros_like(home)
+    bend = np.zeros_like(home)
     drive = forward[0].copy()
     kept = np.empty((5, *asked.angle.shape))
-    steps = _STEPS_OF_PLAY if loose.any() else 1
+    steps = max(
+        _STEPS_OF_PLAY if loose.any() else 1,
+        _steps_of_bristles(robots, chain.mass_matrix(angle) + extra),
+    )
     step_s = STEP_S / steps
     angle = np.concatenate([angle, times(back, home)], 1)
     speed = np.zeros_like(angle)
@@ -243,13 +250,25 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         if lost_n_m:
             held = held - lost_n_m(angle[:, 1:links], drive)
         for _ in range(steps):
-            middle = speed + 0.5 * step_s * accelerations(angle, speed, held)
-            then = accelerations(angle + 0.5 * step_s * speed, middle, held)
+            bend, bent_n_m = robots.bristles.stepped(bend, at_motors(speed), step_s)
+            left = held - bent_n_m
+            middle = speed + 0.5 * step_s * accelerations(angle, speed, left)
+            then = accelerations(angle + 0.5 * step_s * speed, middle, left)
             angle = angle + step_s * middle
             speed = speed + step_s * then
     if not np.isfinite(angle).all():
         raise PlantError(f"{kind.name}: a controlled robot flew away; draw with another seed")
     return DrivenMotion(*kept)
+
+
+def _steps_of_bristles(robots: RealRobot, inertia: Array) -> int:
+    """Within one step, as many as a joint takes that swings on bristles that do not slip.
+
+    `inertia` (B, 1 + N, 1 + N) is that of the base and the joints, with rotors.
+    """
+    moved = np.linalg.inv(inertia)[:, 1:, 1:].diagonal(axis1=1, axis2=2)
+    swing_rad_s = float(np.sqrt((robots.bristles.stiffness_n_m_rad * moved).max()))
+    return max(1, int(np.ceil(STEP_S * swing_rad_s / _SWING_RAD)))
 
 
 def written(

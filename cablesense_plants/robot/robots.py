@@ -17,6 +17,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_plants.cases import NO_FAULT, PlantError
+from cablesense_plants.robot.bristles import NO_BRISTLES, Bristles
 
 _T = TypeVar("_T")
 _RIGID = 1e9
@@ -139,7 +140,7 @@ class _ChainPose:
         return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
 
 
-def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
+def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Any], list[str], list[str]]:
     """The chain of a robot that MuJoCo has read; its links' axes are the base's at zero.
 
     Gives also `damping`, `armature`, `stiffness` and `dry` friction by joint (N,), and the joints'
@@ -294,6 +295,7 @@ class RealRobot:
         dry, proportional: kinetic friction, N·m, and its share of the drive's torque.
         stribeck, stribeck_speed: () by how much more it is at rest, as a share, and until when.
         presliding_rad: how far a stuck joint gives until it slips.
+        bristles: LuGre's friction, in addition.
         play_rad: between a motor and its joint, from one flank of the teeth to the other.
         cogging, cogging_phase, cogging_waves: a ripple of torque over a turn.
         worn, worn_waves, worn_phase: friction, N·m at most, that comes and goes along the way.
@@ -321,6 +323,7 @@ class RealRobot:
     stribeck: Array = NO_FAULT
     stribeck_speed: Array = NO_FAULT + 0.05
     presliding_rad: Array = NO_FAULT + 0.002
+    bristles: Bristles = NO_BRISTLES
     play_rad: Array = NO_FAULT
     cogging: Array = NO_FAULT
     cogging_phase: Array = NO_FAULT

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 import typer
 from rich.console import Console
@@ -31,6 +32,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from cablesense_gap.robot.isolability import Isolability
     from cablesense_gap.verdict import Verdict
 
 _Machine: TypeAlias = "tuple[Callable[[Path], Any], Callable[..., Verdict], Any]"
@@ -41,6 +43,10 @@ _KEEP_ONE = (
 )
 
 
+_TIMES = 5
+"""How often each block for a question is recorded: trials are held out in five folds."""
+
+
 def protocol(
     context: typer.Context,
     arm: NominalArmOption = "cdsm_lab",
@@ -49,20 +55,45 @@ def protocol(
         Path | None,
         typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
     ] = None,
+    channels: Annotated[
+        Literal["torques", "commands", "external"],
+        typer.Option(
+            help="With --model: what will be recorded: torques, commands alone, or commands and "
+            "positions measured outside the drives."
+        ),
+    ] = "torques",
+    tell_apart: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="EFFECT EFFECT",
+            help="With --model: instead of the usual motions, those in which two effects differ.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="With --model: also draw which effects differ, .svg or .png."),
+    ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Print which poses, loads and holds to record, so that effects can be distinguished.
+    """Print what to record, so that effects can be distinguished, and which can be.
 
     Loads leave every cable of the nominal arm taut. Each block is one trial; take longer where
-    hands need it, and keep the order.
+    hands need it, and keep the order. Of a robot, a table says from which size on a verdict would
+    name each effect, and what it may be taken for.
 
     Example: cablesense gap protocol --arm my_arm.yaml --out protocol.csv
     """
     if model is None:
+        refuse_given(context, ["channels", "tell_apart", "picture"], "without --model")
         _arm_protocol(arm, out, force)
     else:
         refuse_given(context, ["arm"], "with --model")
-        _robot_protocol(model, out, force)
+        if picture is not None:
+            from cablesense_gap.report.isolability import picture_kind
+
+            picture_kind(picture)
+            output_file(picture, force=force, inputs=(model,))
+        _robot_protocol(model, out, force, channels, tell_apart, picture)
 
 
 def _arm_protocol(arm: str, out: Path | None, force: bool) -> None:
@@ -98,28 +129,77 @@ def _arm_protocol(arm: str, out: Path | None, force: bool) -> None:
         console.print(f"{out}: {len(rows):,} rows, {rows.time_s[-1]:.0f} s", soft_wrap=True)
 
 
-def _robot_protocol(model: Path, out: Path | None, force: bool) -> None:
+def _robot_protocol(
+    model: Path,
+    out: Path | None,
+    force: bool,
+    channels: Literal["torques", "commands", "external"],
+    pair: tuple[str, str] | None,
+    picture: Path | None,
+) -> None:
     from cablesense_gap.robot.amending import load_amended
+    from cablesense_gap.robot.isolability import blocks_that_part, isolability, planned
     from cablesense_gap.robot.protocol import standard_protocol, write_protocol
 
     robot, _ = load_amended(model)
     if out is not None:
         output_file(out, force=force, inputs=(robot.path,))
-    blocks = standard_protocol(robot)
+    title = f"Protocol for {robot.name}"
+    times = 1
+    if pair is None:
+        blocks = standard_protocol(robot)
+    else:
+        title = f"To tell {pair[0]} from {pair[1]}, {robot.name}: each block {_TIMES} times"
+        times = _TIMES
+        blocks = blocks_that_part(robot, pair, channels)
+    recorded = [block for block in blocks for _ in range(times)]
+    found = isolability(planned(robot, recorded, channels))
     headings = ("trial", "takes, s", "what", "what to do")
-    table = titled_table(f"Protocol for {robot.name}", *headings, right=headings[:2])
+    table = titled_table(title, *headings, right=headings[:2])
     for number, block in enumerate(blocks, start=1):
         table.add_row(str(number), f"{block.duration_s:.0f}", block.kind, block.does)
     console = Console()
     console.print(table)
+    if pair is not None and found.may_confuse(*pair):
+        console.print(
+            f"No motion that was tried tells {pair[0]} from {pair[1]} at every place: a verdict "
+            "would name both, as one group."
+        )
     console.print(
         "Record position.<joint>, and torque.<joint> or command.<actuator>, at 100 Hz or more; "
         f"smaller ranges will do where there is no room.\n{_KEEP_ONE}",
         style="dim",
     )
+    _print_isolability(console, found)
+    if picture is not None:
+        from cablesense_gap.report.isolability import write_picture
+
+        write_picture(picture, found, robot.name)
+        console.print(f"{picture}: which effects the planned motion tells apart")
     if out is not None:
-        rows = write_protocol(out, robot, blocks)
+        rows = write_protocol(out, robot, recorded)
         console.print(f"{out}: {rows:,} rows", soft_wrap=True)
+
+
+def _print_isolability(console: Console, found: Isolability) -> None:
+    """From which size each effect is named, and which others a verdict may name instead."""
+    headings = ("effect", "at", "named from", "may be taken for")
+    table = titled_table("What this motion shows", *headings, right=headings[2:3])
+    for number, site in enumerate(found.sites):
+        size = found.named_from[number]
+        shows = f"{size:.2g} {found.units[number]}".removesuffix(" 1")
+        imitators = ", ".join(found.imitators(number)) or "–"
+        if not math.isfinite(size):
+            shows = "never"
+            imitators = "none"
+        table.add_row(site.effect, site.place, shows, imitators)
+    console.print(table)
+    console.print(
+        f"{found.compared} Sensors are taken to be usual ones: torques with 0.5 % of noise, "
+        "encoders with 0.1 mrad, cameras with 1 mrad. An effect that may be taken for another is "
+        "named with it, as one group: --tell-apart chooses motions in which two differ.",
+        style="dim",
+    )
 
 
 def record(

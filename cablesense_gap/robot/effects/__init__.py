@@ -15,6 +15,10 @@ from cablesense_sim.effects.effect import Parameter as Parameter
 Values = Mapping[str, float]
 PRESLIDING = "presliding"
 SIDE = "side"
+STRIBECK = "stribeck_share"
+STRIBECK_SPEED = "stribeck_rad_s"
+LOPSIDED = "lopsided"
+OF_FORM = (PRESLIDING, SIDE, STRIBECK, STRIBECK_SPEED, LOPSIDED)
 """Parameters of friction that MJCF cannot express; the first has the unit of its place."""
 
 
@@ -74,6 +78,10 @@ class RobotEffect(EffectDescription):
             )
             for p in self.numbers
         )
+
+    def richer(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        """Numbers of its richer forms, which are tried once the plain one is found."""
+        return ()
 
     def act(self, change: Change, at: int, values: Values) -> None:
         """Change the robot; `at` is the index of the place in `places`."""

@@ -1,119 +1,15 @@
-"""Effects of the machine itself: friction, play, coupling and springs, masses and inertias."""
+"""Effects of the machine itself: play, coupling and springs, masses and inertias."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cablesense_gap.robot.effects import (
-    PRESLIDING,
-    SIDE,
-    Parameter,
-    RobotEffect,
-    Values,
-    joint_unit,
-    size,
-)
+from cablesense_gap.robot.effects import Parameter, RobotEffect, Values, size
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.robot.motion import Scale, rms
-
-_PRESLIDING = "elastic displacement before it slips the other way"
-
-
-class DryFriction(RobotEffect):
-    """A torque of constant size against the motion (Coulomb), with Dahl's transition."""
-
-    name = "joint_friction"
-    about = "dry friction"
-    source = "Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14(12), 1976"
-    advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
-    against_motion = True
-    numbers = (
-        size("torque_n_m", "{torque}", 3.0, 0.05, "against the motion, whatever the load", 0.0),
-    )
-
-    def usual(self, robot: Robot, scale: Scale) -> float:
-        return scale.typical_torque
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return *super().parameters(robot, scale), _presliding(robot, scale)
-
-    def act(self, change: Change, at: int, values: Values) -> None:
-        change.friction[at] += values["torque_n_m"]
-        change.presliding[at] = values[PRESLIDING]
-
-
-class LoadFriction(RobotEffect):
-    """A drive gives e^share times the torque that the joint transmits, e^-share when it brakes.
-
-    Cables over guides do the same by Euler's law; share is then friction times wrap angle. Gear
-    losses are stated either as a part of the drive's torque, 1 / (1 ± tanh share) of it, or of
-    the joint's, 1 ± tanh share. Both are e^±share times cosh share, to the power of 1 and of -1.
-    """
-
-    name = "load_friction"
-    about = "friction that grows with the load"
-    advice = "Check gears, screws, and cables over guides: losses grow with the torque they pass."
-    in_model = False
-    against_motion = True
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        loss = size("share", "1", 0.9, 0.05, "logarithm of the loss", 0.0)
-        about = "by the drive's torque at 1, by the joint's at -1, by Euler's law at 0"
-        side = Parameter(SIDE, "1", -1.0, 1.0, 0.5, about, role="shape")
-        return loss, _presliding(robot, scale), side
-
-    def act(self, change: Change, at: int, values: Values) -> None:
-        change.load_friction[at] += values["share"]
-        change.load_presliding[at] = values[PRESLIDING]
-        change.load_side[at] = values[SIDE]
-
-
-class TendonFriction(RobotEffect):
-    """Tensions on the two sides of a guide differ by at most exp(μ θ).
-
-    θ is the wrap angle at each site or geom on the tendon's path in the model. The loss acts on
-    every joint that the tendon crosses beyond the guide, and grows with the tendon's tension,
-    including its pretension.
-    """
-
-    name = "capstan_friction"
-    at = "tendons"
-    about = "friction of a tendon over its guides"
-    source = "Euler's and Eytelwein's law at each guide; see cablesense_sim.cable_chain"
-    advice = "Look for worn, dry or kinked guides and sheaths of this tendon."
-    in_model = False
-    against_motion = True
-    presliding_forward = True
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        data = mujoco.MjData(robot.model)
-        mujoco.mj_fwdPosition(robot.model, data)
-        typical = 1e-2 * rms(scale.position) * float(np.abs(data.ten_J).max(initial=1e-6))
-        return (
-            size("coefficient", "1", 1.5, 0.1, "of friction between tendon and guides", 0.0),
-            _elastic("m", typical, f"{_PRESLIDING}, of cable"),
-        )
-
-    def act(self, change: Change, at: int, values: Values) -> None:
-        change.capstan_friction[at] += values["coefficient"]
-        change.capstan_presliding[at] = values[PRESLIDING]
-
-
-class ViscousFriction(RobotEffect):
-    """A torque against the motion in proportion to the speed."""
-
-    name = "viscous_friction"
-    about = "viscous friction"
-    adds = "damping"
-    advice = "Check the lubricant and its temperature."
-    numbers = (size("torque_s_n_m", "{torque} s/{position}", 60.0, 1.0, "by the speed", 0.0),)
-
-    def usual(self, robot: Robot, scale: Scale) -> float:
-        return 0.05 * scale.per(scale.speed)
 
 
 class Backlash(RobotEffect):
@@ -300,13 +196,3 @@ class TiltedBase(RobotEffect):
     def act(self, change: Change, at: int, values: Values) -> None:
         turned = Rotation.from_rotvec([values[f"about_{axis}_rad"] for axis in "xyz"])
         change.gravity_m_s2 = turned.inv().apply(change.gravity_m_s2)
-
-
-def _presliding(robot: Robot, scale: Scale) -> Parameter:
-    return _elastic(joint_unit(robot, "{position}"), rms(1e-3 * scale.position), _PRESLIDING)
-
-
-def _elastic(unit: str, typical: float, about: str) -> Parameter:
-    low = 0.02 * typical
-    high = 50.0 * typical
-    return Parameter(PRESLIDING, unit, low, high, typical, about, typical, role="shape")

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from cablesense_gap.protocol import standard_protocol
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
+from tests.helpers.two_link import write_model
 
 
 @pytest.mark.slow
@@ -39,3 +40,52 @@ def test_rows_have_the_columns_of_a_recording_but_tensions(tmp_path):
     np.testing.assert_array_equal(np.isnan(values[:, -1]), values[:, 8] == 0.0)
     assert (np.diff(values[:, 0]) > 0.0).all()
     assert np.abs(values[:, 2:8]).max() < math.radians(15.0)
+
+
+def robot_protocol(tmp_path, *options):
+    asked = ["gap", "protocol", "--model", str(write_model(tmp_path)), *map(str, options)]
+    return CliRunner().invoke(app, asked, env={"COLUMNS": "200"})
+
+
+@pytest.mark.slow
+def test_a_robots_protocol_says_what_it_shows_and_draws_it(tmp_path):
+    picture = tmp_path / "pairs.png"
+    result = robot_protocol(tmp_path, "--picture", picture)
+    assert result.exit_code == 0, result.output
+    assert "may be taken for" in result.output
+    lines = [line for line in result.output.splitlines() if "base_tilt" in line]
+    assert any("joint_zero" in line for line in lines)  # the same in a plane
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_motions_for_a_question_are_written_five_times(tmp_path):
+    out = tmp_path / "motion.csv"
+    pair = "rotor_inertia", "payload"
+    result = robot_protocol(tmp_path, "--tell-apart", *pair, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "To tell rotor_inertia from payload" in result.output
+    with out.open(encoding="utf-8") as file:
+        trials = {row["trial"] for row in csv.DictReader(file)}
+    assert len(trials) % 5 == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--tell-apart", "friction", "payload"), "friction: no effect of"),
+        (("--channels", "external"), "without a position servo"),
+        (("--picture", "pairs.pdf"), "ends with .svg or .png"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(tmp_path, options, said):
+    result = robot_protocol(tmp_path, *options)
+    assert result.exit_code == 2
+    assert said in " ".join(result.output.split())
+
+
+def test_options_of_robots_are_refused_for_an_arm():
+    result = CliRunner().invoke(app, ["gap", "protocol", "--channels", "commands"])
+    assert result.exit_code == 2
+    assert "--model" in result.output
