@@ -29,7 +29,7 @@ import numpy as np
 from real_robots import DESIGNS, pendulum_runs
 from robot_sets import KINDS
 
-from cablesense_gap.robot.model import Robot, load_robot, read_spec
+from cablesense_gap.robot.model import Robot, RobotError, load_robot
 from cablesense_gap.robot.motion import derivatives, rms, smoothed
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
@@ -38,6 +38,7 @@ from cablesense_gap.simulator import Assignment
 from cablesense_plants.robot.cases import draw_case, record
 from cablesense_plants.robot.causes import LISTED
 from cablesense_plants.robot.friction import FRICTION
+from cablesense_sim.mujoco_file import read_spec
 
 sysid: Any = importlib.import_module("mujoco.sysid")
 """It has no types that a checker could read."""
@@ -154,7 +155,7 @@ def _fitted(robot: Robot, recording: RobotRecording, folder: Path) -> Fit:
         max_iters=_MOST_EVALUATIONS,
     )
     seconds = time.monotonic() - began
-    amended = read_spec(robot.path)
+    amended = read_spec(robot.path, RobotError)
     for parameter in fitted.values():
         parameter.apply_modifier(amended)
     path = folder / f"fitted_{robot.path.name}"
@@ -177,7 +178,7 @@ def _different(parameters: Any, result: Any) -> int:
 
 def _driven_spec(robot: Robot) -> mujoco.MjSpec:
     """The model with a motor and a sensor of position at every joint, and no contacts."""
-    spec = read_spec(robot.path)
+    spec = read_spec(robot.path, RobotError)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for name in robot.joint_names:
