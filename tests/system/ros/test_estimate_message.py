@@ -20,6 +20,7 @@ from cablesense_base.installation import config_path
 from cablesense_msgs_py.messages import UNKNOWN_WRENCH, Contact, ForceState
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
+from cablesense_online.placed_links import PlacedLinks
 from cablesense_ros.estimator_outputs import put_estimate
 from cablesense_sim.arm import open_arm
 from tests.helpers.checkout import CHECKOUT
@@ -40,7 +41,7 @@ def filled(described, answer):
     constants = {one.name: one.value for one in described.constants}
     nested = {name: kind() for name, kind in OF_OTHERS.items()}
     message = SimpleNamespace(**constants, **nested)
-    put_estimate(message, answer, UNKNOWN_WRENCH, Frames(4), Time(sec=7))
+    put_estimate(message, answer, UNKNOWN_WRENCH, Frames(4), PlacedLinks(None), Time(sec=7))
     return message
 
 
