@@ -258,11 +258,48 @@ def _tables(title: str, content: Mapping[Any, Any]) -> Iterator[Table]:
             for name, (cells, _) in parted.items()
         ]
         if headings:
-            yield titled_table(title, "", *headings, rows=rows)
+            yield from _side_by_side(title, ["", *headings], rows)
         nested = {f"{name}, {k}": v for name, (_, rest) in parted.items() for k, v in rest.items()}
     for name, value in nested.items():
         entries = value if isinstance(value, Mapping) else dict(enumerate(value, start=1))
         yield from _tables(f"{title}: {worded(str(name))}", entries)
+
+
+_BORDER = 3
+"""Characters of a table between two columns."""
+_LONGEST_WORD = 24
+"""Longer words of a cell are broken: paths, and lists of numbers."""
+
+
+def _side_by_side(
+    title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> Iterator[Table]:
+    """A table of rows with a name each; several below each other where it is too wide.
+
+    It is where a terminal would break the words of its headings.
+    """
+    columns = list(zip(headings, *rows, strict=True))
+    widths = [_least_width(column) for column in columns]
+    room = Console().width - 1 - widths[0]
+    parts: list[list[int]] = [[]]
+    used = 0
+    for number, width in enumerate(widths[1:], start=1):
+        if parts[-1] and used + width > room:
+            parts.append([])
+            used = 0
+        parts[-1].append(number)
+        used += width
+    for part in parts:
+        shown = [0, *part]
+        chosen = [[row[number] for number in shown] for row in rows]
+        yield titled_table(title, *(headings[number] for number in shown), rows=chosen)
+
+
+def _least_width(column: Sequence[str]) -> int:
+    """Width of a column, its heading first, in which no usual word is broken."""
+    words = [word for cell in (worded(column[0]), *column[1:]) for word in cell.split()]
+    longest = max(map(len, words), default=0)
+    return _BORDER + min(longest, _LONGEST_WORD)
 
 
 def _parted(content: Mapping[Any, Any]) -> tuple[dict[Any, Any], dict[Any, Any]]:

@@ -20,6 +20,8 @@ from catkin_pkg.package import parse_package
 from tests.helpers.checkout import CHECKOUT
 
 VERSION = distribution("cablesense_ros").version
+DEMO = ("demo", "--headless", "--duration", "8", "--no-commission", "--json")
+"""Without the commissioning, which has tests of its own and wants processors that are not busy."""
 pytestmark = pytest.mark.slow
 
 
@@ -162,8 +164,10 @@ def test_an_installed_wheel_plays_the_demo(
 ) -> None:
     """The statics of arms are compiled in the new environment first, which the demo says."""
     programs, variables = environment
+    packages = programs.parent.glob("lib/*/site-packages/cablesense_sim/__pycache__/*.nbi")
+    is_fresh = not any(packages)  # a repetition of this test finds compiled code
     done = subprocess.run(
-        [str(programs / "cablesense"), "demo", "--headless", "--duration", "8", "--json"],
+        [str(programs / "cablesense"), *DEMO],
         cwd=tmp_path,
         env=variables,
         capture_output=True,
@@ -172,7 +176,7 @@ def test_an_installed_wheel_plays_the_demo(
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["arm"]
-    assert "compiles the statics" in done.stderr
+    assert ("compiles the statics" in done.stderr) == is_fresh
     for log in (tmp_path / "out/demo/logs").iterdir():
         assert "compiles the statics" not in log.read_text(encoding="utf-8"), log.name
 

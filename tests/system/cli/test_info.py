@@ -153,3 +153,18 @@ def test_a_table_shows_every_value_of_a_result(capsys: pytest.CaptureFixture) ->
         "1235",
     ):
         assert words in table
+
+
+def test_a_table_too_wide_for_a_terminal_is_parted_and_breaks_no_word(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    entry = {
+        f"{word}_magnitude_n": 1.0 for word in ("estimated", "recorded", "predicted", "other")
+    }
+    print_result("Result", {"rows": [entry, entry]}, as_json=False)
+    table = capsys.readouterr().out
+    assert max(map(len, table.splitlines())) <= 60
+    assert table.count("magnitude,") == 4
+    for word in ("estimated", "recorded", "predicted"):
+        assert word in table
