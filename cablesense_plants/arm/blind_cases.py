@@ -103,8 +103,9 @@ def record_cases(
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
-        options = {"second": second, "imperfect": imperfect, "plain": plain}
-        make = partial(make_case, workmanship=workmanship, **options)
+        make = partial(
+            make_case, second=second, imperfect=imperfect, workmanship=workmanship, plain=plain
+        )
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
             for part, rows in recorded.recordings.items():
