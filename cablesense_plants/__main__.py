@@ -44,6 +44,13 @@ def blind_cases(
             "--second", help="Record every machine twice, the second time in OUT/second/."
         ),
     ] = False,
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="Of arms: hide nothing faint; every gap is several times the error of a reading.",
+        ),
+    ] = False,
     workers: WorkersOption = 1,
     force: ForceOption = False,
 ) -> None:
@@ -59,7 +66,7 @@ def blind_cases(
     from cablesense_sim.arm import find_arm
 
     if model is not None:
-        refuse_given(context, ["arm", "workers"], "with --model")
+        refuse_given(context, ["arm", "plain", "workers"], "with --model")
     answers_file = answers or out / "answers" / "answers.csv"
     kinds = tuple(only or ())
     names = "case_*.csv" if model is None else "case_*.csv.gz"
@@ -73,7 +80,9 @@ def blind_cases(
         from cablesense_plants.arm.body import read_nominal
 
         nominal = read_nominal(source)
-        made = record_arms(out, answers_file, nominal, count, seed, kinds, workers, second=second)
+        made = record_arms(
+            out, answers_file, nominal, count, seed, kinds, workers, second=second, plain=plain
+        )
     else:
         from cablesense_gap.robot.model import load_robot
         from cablesense_plants.robot.cases import record_cases as record_robots

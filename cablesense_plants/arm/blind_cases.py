@@ -80,13 +80,15 @@ def record_cases(
     second: bool = False,
     imperfect: bool = False,
     workmanship: Workmanship | None = None,
+    plain: bool = False,
 ) -> Iterator[ArmAnswer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
     With `second`, the folder `second/` in it gets another recording of each arm, with other
     commands, loads and past. With `imperfect` the nominal arm lacks two changes that no verdict
     has a name for; `reference/` gets a recording of each arm before anything else was hidden. With
-    a `workmanship` arms are built as `cablesense_plants.arm.built` does. The
+    a `workmanship` arms are built as `cablesense_plants.arm.built` does. With `plain`, what is
+    hidden shows on every arm, as a gap of several times the error of a reading. The
     same seed makes the same files, whatever the number of processes.
 
     Raises:
@@ -101,7 +103,9 @@ def record_cases(
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
-        make = partial(make_case, second=second, imperfect=imperfect, workmanship=workmanship)
+        make = partial(
+            make_case, second=second, imperfect=imperfect, workmanship=workmanship, plain=plain
+        )
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
             for part, rows in recorded.recordings.items():
@@ -148,6 +152,7 @@ def make_case(
     second: bool = False,
     imperfect: bool = False,
     workmanship: Workmanship | None = None,
+    plain: bool = False,
 ) -> CaseRecording:
     """Case `index` (from 1, as in its name `case_001`) of the set of a seed.
 
@@ -160,7 +165,7 @@ def make_case(
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         with suppress(PlantError) if attempt + 1 < _REDRAWS else nullcontext():
-            return _recorded(rng, index, nominal, kind, second, imperfect, workmanship)
+            return _recorded(rng, index, nominal, kind, second, imperfect, workmanship, plain)
     raise AssertionError
 
 
@@ -227,6 +232,7 @@ def _recorded(
     second: bool,
     imperfect: bool,
     workmanship: Workmanship | None,
+    only_plain: bool,
 ) -> CaseRecording:
     """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`."""
     draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
@@ -255,7 +261,7 @@ def _recorded(
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
             change = draws[name](ArmDraw(rng, nominal))
-            plain = len(names) > 1 or change.effect == UNKNOWN
+            plain = only_plain or len(names) > 1 or change.effect == UNKNOWN
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
             if workmanship is not None:

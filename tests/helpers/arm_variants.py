@@ -6,6 +6,16 @@ import yaml
 
 from cablesense_sim.arm import Arm, find_arm, parse_arm
 
+SOFT_CABLES = {
+    "name": "soft",
+    "segments.count": 2,
+    "segments.mass_kg": 0.2,
+    "cables.per_segment": 4,
+    "cables.angle_deg": {"first": 0, "per_segment": 45, "per_cable": -90},
+    "cables.stiffness_n_m": 3.0e3,
+}
+"""Changes that make two segments with four soft cables each."""
+
 
 def described(name: str = "cdsm") -> dict[str, Any]:
     """The bundled description as plain values."""

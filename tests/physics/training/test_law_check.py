@@ -11,16 +11,7 @@ from cablesense_training.evaluation.touches import drawn_touches, settled_readin
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law_check import MOST_OVER_BOUND, check_law, require_sound
 from cablesense_training.law_export import export_law
-from tests.helpers.arm_variants import variant
-
-SOFT_CABLES = {
-    "name": "soft",
-    "segments.count": 2,
-    "segments.mass_kg": 0.2,
-    "cables.per_segment": 4,
-    "cables.angle_deg": {"first": 0, "per_segment": 45, "per_cable": -90},
-    "cables.stiffness_n_m": 3.0e3,
-}
+from tests.helpers.arm_variants import SOFT_CABLES, variant
 
 
 def soft_arm(spring_n_m_rad: float) -> Arm:
