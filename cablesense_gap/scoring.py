@@ -341,7 +341,7 @@ def places_right(verdict: Verdict, where: str) -> bool | None:
     names are compared. A robot's are words; of what one place does to another the first counts.
     """
     named = set(verdict.where.places)
-    if verdict.channels:
+    if verdict.of_robot:
         places = set(re.sub(r"_into_\S+", "", where).split())
         return named == places if places else None
     places = set(re.findall(r"(?:cable|segment|joint)_[1-9]\d*", where))

@@ -256,11 +256,16 @@ class RobotSystem(System):
         inertia = self.motion.inertia
         return tuple(doubts.of_verdict(self.robot, change, inertia, ranges, values, gap))
 
-    def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
+    def channel_groups(self) -> NDArray[np.int64]:
+        """Position and speed of a joint have their causes together."""
+        joints = [self.robot.joints.index(name.split(".")[-1]) for name in self.comparison.names]
+        return np.unique(joints, return_inverse=True)[1].astype(np.int64)
+
+    def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
         compared = self.comparison
         sizes = [np.sqrt((each**2).mean(0)) * compared.floor for each in (before, after)]
-        columns = zip(compared.names, compared.units, *sizes, compared.floor, strict=True)
+        columns = zip(compared.names, compared.units, *sizes, floor * compared.floor, strict=True)
         return {
             name: ChannelGap(unit=unit, before=float(b), after=float(a), floor=float(floor))
             for name, unit, b, a, floor in columns
