@@ -14,10 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from itertools import chain
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from cablesense_gap.diagnosis import fitting
 from cablesense_gap.diagnosis.extent import (
     Extent,
     Screened,
@@ -25,6 +27,7 @@ from cablesense_gap.diagnosis.extent import (
     screened_extents,
     without_extent,
 )
+from cablesense_gap.diagnosis.nuisance import final_refinement
 from cablesense_gap.diagnosis.probability import (
     EQUAL,
     UNKNOWN,
@@ -40,12 +43,18 @@ from cablesense_gap.diagnosis.probability import (
     without,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.diagnosis.search import search
+from cablesense_gap.diagnosis.search import is_redundant
 from cablesense_gap.explained import removes
 from cablesense_gap.system import System
 
-_SEARCHED = 2
-"""Extents that are searched, those with the best linear forecasts."""
+_FITTED = 2
+"""Extents to which effects are fitted, those with the best linear forecasts."""
+_PROPOSED = 6
+"""Additions that are fitted outside an extent: as many as a search starts from."""
+_KNOWN = 3
+"""Hypotheses of all readings that are fitted there again."""
+_STEPS = 3
+"""Gauss-Newton steps of these, which are near their best values already."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,6 @@ def partial_answer(
     ranked: Sequence[Ranked],
     calibration: ProbabilityCalibration,
     progress: Callable[[str, float], None] = lambda *_: None,
-    workers: int = 1,
 ) -> PartialAnswer | None:
     """The listed effects that are certain although something unlisted acts; None without any.
 
@@ -108,24 +116,26 @@ def partial_answer(
     hypotheses = [r.hypothesis for r in ranked if r.hypothesis is not None]
     everywhere = posterior_beside_unlisted(hypotheses, problem.floor, calibration)
     answers = [_Answer(Extent.whole(problem), problem, _named_beside(problem, everywhere))]
-    screened = [
-        (_forecast(each, problem.floor, calibration), each.extent)
-        for each in screened_extents(problem, system.channel_groups())
-    ]
-    promising = [(p, extent) for p, extent in screened if p > 0.5]
-    for extent in _smallest(promising, _SEARCHED):
-        others = without_extent(problem, extent)
-        found = system.completed(others, search(others, progress, workers))
-        costly = [_with_choices(h, extent) for h in found]
+    progress("separating what is unlisted", 0.97)
+    screened = list(screened_extents(problem, system.channel_groups()))
+    forecasts = [_forecast(each, problem.floor, calibration) for each in screened]
+    pairs = zip(forecasts, screened, strict=True)
+    promising = [(forecast, each) for forecast, each in pairs if forecast > 0.5]
+    for each in _smallest(promising, _FITTED):
+        others = without_extent(problem, each.extent)
+        fitted = system.completed(others, _hypotheses(others, each, hypotheses))
+        costly = [_with_choices(h, each.extent) for h in fitted]
         beside = posterior(costly, others.floor, calibration)
-        answers.append(_Answer(extent, others, _named_beside(others, beside)))
+        answers.append(_Answer(each.extent, others, _named_beside(others, beside)))
     certain = [answer for answer in answers if answer.beside]
     if not certain:
         return None
-    (chosen,) = _smallest([(a.beside[0].probability, a.extent) for a in certain], 1)
-    answer = next(answer for answer in certain if answer.extent is chosen)
+    (answer,) = _smallest([(each.beside[0].probability, each) for each in certain], 1)
     unlisted = probability_of_unlisted(hypotheses, problem.floor, calibration)
     return _of_whole(problem, ranked, unlisted, answer)
+
+
+_WithExtent = TypeVar("_WithExtent", "_Answer", Screened)
 
 
 class _Answer(NamedTuple):
@@ -136,15 +146,52 @@ class _Answer(NamedTuple):
     beside: list[Ranked]
 
 
-def _smallest(extents: Iterable[tuple[float, Extent]], most: int) -> list[Extent]:
+def _smallest(extents: Iterable[tuple[float, _WithExtent]], most: int) -> list[_WithExtent]:
     """The smallest of the extents that make effects about as probable as any does.
 
     The remainder reaches no farther than it must.
     """
     pairs = list(extents)
     least = EQUAL * max((probability for probability, _ in pairs), default=0.0)
-    probable = [extent for probability, extent in pairs if probability >= least]
-    return sorted(probable, key=lambda extent: extent.share)[:most]
+    probable = [each for probability, each in pairs if probability >= least]
+    return sorted(probable, key=lambda each: each.extent.share)[:most]
+
+
+def _hypotheses(
+    problem: Problem, screened: Screened, known: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """What explains the readings outside an extent: without effects first, one for each set.
+
+    The best additions by their linear forecasts, those of the `known` hypotheses that leave least
+    there, and the best of all without each of its effects.
+    """
+    best: dict[tuple[str, ...], Hypothesis] = {}
+
+    def keep(fitted: Iterable[Hypothesis | None]) -> None:
+        for each in fitted:
+            if each is None or not each.effects:
+                continue
+            if each.effects not in best or problem.score(each) < problem.score(best[each.effects]):
+                best[each.effects] = each
+
+    keep(chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_PROPOSED]))
+    kept = ~screened.extent.channels
+    left = {
+        k: float(((problem.readings - h.held_out[:, kept])[problem.used] ** 2).mean())
+        for k, h in enumerate(known)
+        if h.effects and h.effects not in best
+    }
+    for k in sorted(left, key=lambda k: left[k])[:_KNOWN]:
+        keep([fitting.refit(problem, known[k].values, _STEPS)])
+    if best:
+        first = min(best.values(), key=problem.score)
+        keep([final_refinement(problem, first)[0]])
+        first = best[first.effects]
+        if len(first.effects) > 1:
+            keep(fitting.without(problem, [effect], first) for effect in first.effects)
+    found = list(best.values())
+    worth_it = [each for each in found if not is_redundant(problem, each, found)]
+    return [screened.without_effects, *worth_it]
 
 
 def _named_beside(problem: Problem, beside: Sequence[Ranked]) -> list[Ranked]:

@@ -91,12 +91,12 @@ def diagnose_system(
         usual = reference.expected(system, problem)
         problem = problem_since(problem, usual)
     hypotheses = system.completed(problem, search(problem, progress, workers))
-    answer = partial(partial_answer, system, calibration=calibration, workers=workers)
+    answer = partial(partial_answer, system, calibration=calibration, progress=progress)
     part = None
     error = None if reference is not None else system.model_error(problem, hypotheses)
     if error is not None:
         everything = posterior(hypotheses, problem.floor, calibration)
-        part = answer(problem, everything, progress=progress)
+        part = answer(problem, everything)
         if part is not None and part.explains_the_rest(calibration):
             error = None
         else:
@@ -108,7 +108,7 @@ def diagnose_system(
     everything = posterior(hypotheses, problem.floor, calibration)
     ranked = named_that_removes(problem, everything, calibration)
     if part is None and ranked[0].effects == UNKNOWN:
-        part = answer(problem, everything, progress=progress)
+        part = answer(problem, everything)
     # the readings in which nothing unlisted acts, and the hypotheses that were fitted to these
     of_effects = problem
     fitted_to_these = ranked
@@ -171,6 +171,7 @@ def diagnose_system(
     if doubts:
         sure = min(ranked[0].probability, DOUBTED)
         ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
+    stated = [replace(fitted_to_these[0], probability=ranked[0].probability), *ranked[1:]]
     rows = of_effects.used
     deviations = _rms((usual.floor / usual.weight)[rows])
     gaps = system.channels(*(residual[rows] for residual in measured), deviations)
@@ -182,7 +183,7 @@ def diagnose_system(
         next_experiment=experiment,
         where=system.where(values, measured[0][used]),
         parameters=system.numbers(explained, values),
-        shares=shares(of_effects, [fitted_to_these[0], *ranked[1:]], values),
+        shares=shares(of_effects, stated, values),
         traded=tuple(trade.traded for trade in traded),
         tolerances_n=rest.tolerances,
         unlisted=_unlisted(system, problem, ranked, part, channels),
@@ -191,7 +192,7 @@ def diagnose_system(
         gap=gap,
         doubts=doubts,
         reference=None if reference is None else reference.left,
-        candidates=candidate_results(ranked),
+        candidates=candidate_results(stated),
         why=reasons,
         seconds=time.monotonic() - began_s,
         recording=system.recording_name,

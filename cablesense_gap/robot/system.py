@@ -45,6 +45,12 @@ _FOLLOWS = 0.8
 """Least correlation of a channel with the model's for its unit to be judged."""
 _OTHER_UNIT = 5.0
 """Ratio of a channel and the model's from which on its unit is doubtful."""
+_NO_TORQUE = 0.01
+"""Share of the largest torque at a joint of the model below which a joint has none to compare."""
+_NAMED_UNITS = {1e3: "mN·m or N·mm", 1e2: "N·cm", 1e-3: "kN·m"}
+"""Units that torques are recorded in, by how many of them are one N·m."""
+_NEAR_UNIT = 1.5
+"""Factor by which a ratio may differ from that of a unit: friction and payloads change it."""
 _PROBED = 0.01
 """Error of a zero by which its influence is found, rad or m."""
 _USUAL = 0.1
@@ -308,18 +314,42 @@ class RobotSystem(System):
 
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but in another unit."""
+        return [
+            f"{column} is {ratio:.2g} times the model's value: check its unit."
+            for column, ratio in self._ratios().items()
+            if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
+        ]
+
+    def in_other_units(self) -> list[str]:
+        """Torques that follow the model's, all of them in one other unit that is in use."""
+        if not isinstance(self.comparison, InverseComparison):
+            return []
+        ratios = self._ratios()
+        for per_newton_metre, unit in _NAMED_UNITS.items():
+            apart = [abs(np.log(ratio / per_newton_metre)) for ratio in ratios.values()]
+            if apart and max(apart) < np.log(_NEAR_UNIT):
+                return [
+                    f"{some_of(list(ratios))} {'is' if len(ratios) == 1 else 'are'} about "
+                    f"{per_newton_metre:g} times the model's ({unit} given?); torques must be in "
+                    "N·m"
+                ]
+        return []
+
+    def _ratios(self) -> dict[str, float]:
+        """By column, the size of a channel that follows the model's, by that of the model's.
+
+        Without channels in which the model has about no torque: what it follows there is chance.
+        """
         predicted = self.predict([{}])[0]
         measured, modelled = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
-        sentences = []
-        for c in np.flatnonzero(measured * modelled):
-            follows = self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]
-            ratio = measured[c] / modelled[c]
-            if follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-                column = self.comparison.columns[c]
-                sentences.append(
-                    f"{column} is {ratio:.2g} times the model's value: check its unit."
-                )
-        return sentences
+        torque = modelled * np.sqrt((self.comparison.noise**2).mean(0))
+        units = np.array(self.comparison.units)
+        largest = np.array([torque[units == unit].max() for unit in units])
+        ratios = {}
+        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE * largest)):
+            if self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]:
+                ratios[self.comparison.columns[c]] = float(measured[c] / modelled[c])
+        return ratios
 
 
 @dataclass(frozen=True)
@@ -399,13 +429,16 @@ def diagnose(
     options = {"zeroed": zeroed, "external": external}
     motion = prepared(recording, robot, bandwidth_hz, forward, **options)
 
-    suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
+    system = RobotSystem(robot, motion, beside)
+    suspect = doubts.wrapped(recording, robot)
+    if not external:
+        suspect += wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
+    suspect += system.in_other_units()
     if suspect and not force:
         raise RecordingError(
             f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
             "--force"
         )
-    system = RobotSystem(robot, motion, beside)
     healthy = None
     system.recording_name = recording.name
     system.row_count = len(recording)

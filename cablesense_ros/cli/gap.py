@@ -113,7 +113,6 @@ def diagnose(
     [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
     """
     console = Console(stderr=json_output)
-    notes: tuple[str, ...] = ()
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
         verdict, lines = _diagnosed_arm(
@@ -133,6 +132,10 @@ def diagnose(
         read = partial(read_recording, robot=robot, topics=topic or (), force=force)
         recorded = read(recording)
         healthy = None if reference is None else read(reference)
+        of_reference = () if healthy is None else healthy.notes
+        notes = (*recorded.notes, *(f"Reference: {note}" for note in of_reference))
+        for note in notes:  # before the minutes that a fit may take
+            console.print(note, soft_wrap=True, markup=False, highlight=False)
         with diagnosis_progress(console) as (show, _):
             diagnosis = make(
                 recorded,
@@ -149,13 +152,9 @@ def diagnose(
             )
         write_robot_diagnosis(out, diagnosis)
         verdict = diagnosis.verdict
-        of_reference = () if healthy is None else healthy.notes
-        reference_notes = [f"Reference: {note}" for note in of_reference]
-        notes = (*recorded.notes, *reference_notes)
-        lines = [*diagnosis.findings, *reference_notes, headline(verdict), *verdict.doubts]
+        findings = [text for text in diagnosis.findings if text not in recorded.notes]
+        lines = [*findings, headline(verdict), *verdict.doubts]
     if json_output:
-        for note in notes:
-            console.print(note, soft_wrap=True, markup=False, highlight=False)
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
     for line in (*lines, f"Report: {out / 'report.html'}"):
