@@ -416,29 +416,27 @@ def diagnose(
     `beside` are effects that an amended model lists in addition to its MJCF. How they are compared
     (`bandwidth_hz`, `forward`, `zeroed`, `external`) is as of `prepared`. `progress` receives the
     present step and the share of the whole that is done; `workers` processes share the search.
-    With `force` it continues if columns look exchanged or reversed; the findings then say so.
+    With `force` it continues if columns look exchanged, reversed, wrapped or in another unit; the
+    findings then say so.
     A `reference` is of the same robot when it was healthy; the verdict says what changed since.
 
     Raises:
         RecordingError: the recording or the reference cannot be compared, or columns look
-            exchanged.
+            exchanged, wrapped or in another unit.
     """
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
+    suspect = doubts.wrapped(recording, robot)
+    _refuse(recording, [] if force else suspect)
     options = {"zeroed": zeroed, "external": external}
     motion = prepared(recording, robot, bandwidth_hz, forward, **options)
 
     system = RobotSystem(robot, motion, beside)
-    suspect = doubts.wrapped(recording, robot)
     if not external:
         suspect += wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     suspect += system.in_other_units()
-    if suspect and not force:
-        raise RecordingError(
-            f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
-            "--force"
-        )
+    _refuse(recording, [] if force else suspect)
     healthy = None
     system.recording_name = recording.name
     system.row_count = len(recording)
@@ -466,6 +464,19 @@ def diagnose(
         ),
         beside=beside,
     )
+
+
+def _refuse(recording: RobotRecording, suspect: Sequence[str]) -> None:
+    """Raise if anything is suspect.
+
+    Raises:
+        RecordingError: names it.
+    """
+    if suspect:
+        raise RecordingError(
+            f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
+            "--force"
+        )
 
 
 def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
