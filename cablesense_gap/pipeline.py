@@ -174,7 +174,7 @@ def diagnose_system(
     stated = [replace(fitted_to_these[0], probability=ranked[0].probability), *ranked[1:]]
     rows = of_effects.used
     deviations = _rms((usual.floor / usual.weight)[rows])
-    gaps = system.channels(*(residual[rows] for residual in measured), deviations)
+    gaps = system.channels(measured[0][rows], measured[1][rows], deviations)
     channels = judged_channels(replace(problem, used=rows), explained, gaps, calibration)
     verdict = Verdict(
         effects=ranked[0].effects,

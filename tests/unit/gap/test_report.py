@@ -194,8 +194,8 @@ PART = verdict_of(
 
 def test_the_certain_part_comes_first_then_the_rest_in_its_unit_and_per_cent():
     assert headline(PART) == (
-        "Part of the gap comes from mass that nobody modelled (97 %); cable 2 keeps 2.1 N, 67 % of "
-        "its gap, which nothing in the list explains."
+        "Part of the gap comes from mass that nobody modelled (97 %); cable 2 keeps 2.1 N, 67 % "
+        "of its gap, which nothing in the list explains."
     )
     many = {f"cable_{n}": cable(1.1, 0.8 + 0.02 * n, 0.9) for n in range(1, 6)}
     of_many = PART.model_copy(
