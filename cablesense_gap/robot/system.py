@@ -342,7 +342,7 @@ class RobotSystem(System):
         """
         predicted = self.predict([{}])[0]
         measured, modelled = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
-        torque = modelled * np.sqrt((self.comparison.noise**2).mean(0))
+        torque = np.linalg.norm(predicted * self.comparison.noise, axis=0)
         units = np.array(self.comparison.units)
         largest = np.array([torque[units == unit].max() for unit in units])
         ratios = {}

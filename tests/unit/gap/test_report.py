@@ -212,7 +212,7 @@ def test_the_report_has_a_verdict_by_cable(text_of):
     assert "The verdict by cable" in text
     assert "something unlisted acts here (98 %)" in text
     assert "Something that no known effect explains acts as well (95 % sure)" in text
-    assert "the gap goes from 3.10 N to 2.10 N only" in text
+    assert "the gap goes from 3.10 N to 2.10 N." in text
 
 
 @pytest.mark.parametrize(
