@@ -191,7 +191,9 @@ def _hypotheses(
             keep(fitting.without(problem, [effect], first) for effect in first.effects)
     found = list(best.values())
     worth_it = [each for each in found if not is_redundant(problem, each, found)]
-    return [screened.without_effects, *worth_it]
+    without_effects = fitting.refine(problem, {}, [[]])
+    assert without_effects is not None
+    return [without_effects, *worth_it]
 
 
 def _named_beside(problem: Problem, beside: Sequence[Ranked]) -> list[Ranked]:

@@ -22,6 +22,11 @@ from cablesense_gap.diagnosis.problem import Hypothesis, Problem, Subsample
 from cablesense_gap.diagnosis.selection import LinearEffect, Proposal, Selection, linear_effects
 from cablesense_gap.simulator import Assignment, Simulator, small_changes
 
+_MOST_READINGS = 20_000
+"""That are looked at to choose an extent: readings of neighbouring rows say the same."""
+_GROWTH = 1.5
+"""Factor of the number of channels from one extent to the next, where that is more than one."""
+
 
 @dataclass(frozen=True)
 class Extent:
@@ -69,7 +74,7 @@ class Screened:
     """An extent, and what the listed effects leave of the other readings, linear about no effect.
 
     Attributes:
-        without_effects: fitted to the other readings.
+        without_effects: fitted to the other readings that were looked at.
         proposals: effects that explain them, the most promising first.
     """
 
@@ -151,8 +156,10 @@ def screened_extents(problem: Problem, groups: NDArray[np.int64]) -> Iterator[Sc
     """Extents of growing size with what listed effects leave beside them.
 
     `groups` (C,) says which channels belong together, as those of one joint do. Effects that
-    depend on history are left out: they are expensive to simulate.
+    depend on history are left out: they are expensive to simulate. Of many rows some are looked
+    at, at equal distances.
     """
+    problem = _with_fewer_rows(problem)
     without_effects = refine(problem, {}, [[]])
     assert without_effects is not None
     candidates = [c for c in problem.simulator.candidates if not c.history_dependent]
@@ -163,20 +170,32 @@ def screened_extents(problem: Problem, groups: NDArray[np.int64]) -> Iterator[Sc
     yield from _by_trials(problem, columns)
 
 
+def _with_fewer_rows(problem: Problem) -> Problem:
+    """The problem with at most some of its used rows, at equal distances."""
+    rows = np.flatnonzero(problem.used)
+    stride = -(-len(rows) * problem.readings.shape[1] // _MOST_READINGS)
+    used = np.zeros_like(problem.used)
+    used[rows[::stride]] = True
+    return replace(problem, used=used)
+
+
 def _by_channels(
     problem: Problem, columns: Sequence[LinearEffect], groups: NDArray[np.int64]
 ) -> Iterator[Screened]:
-    """One group of channels after the other is the remainder's, all but one in the end."""
+    """One, two, three, four, six … groups of channels are the remainder's, all but one in the end."""
     count = len(np.unique(groups))
     channels = np.zeros(len(groups), dtype=bool)
     no_trial = np.zeros(len(problem.fold), dtype=bool)
-    for size in range(count):
+    size = 0
+    while size < count:
         extent = Extent(channels.copy(), no_trial, comb(count, size))
         screened, left = _screened(problem, columns, extent)
         if size:
             yield screened
         square = np.bincount(groups[~channels], (left**2).mean(0), count)
-        channels |= groups == int(np.argmax(square))
+        larger = max(size + 1, min(int(_GROWTH * size), count - 1))
+        channels |= np.isin(groups, np.argsort(square)[::-1][: larger - size])
+        size = larger
 
 
 def _by_trials(problem: Problem, columns: Sequence[LinearEffect]) -> Iterator[Screened]:
