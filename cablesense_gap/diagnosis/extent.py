@@ -182,7 +182,7 @@ def _with_fewer_rows(problem: Problem) -> Problem:
 def _by_channels(
     problem: Problem, columns: Sequence[LinearEffect], groups: NDArray[np.int64]
 ) -> Iterator[Screened]:
-    """One, two, three, four, six … groups of channels are the remainder's, all but one in the end."""
+    """One, two, three, four, six … groups of channels are the remainder's, at last all but one."""
     count = len(np.unique(groups))
     channels = np.zeros(len(groups), dtype=bool)
     no_trial = np.zeros(len(problem.fold), dtype=bool)

@@ -133,6 +133,7 @@ def robot_page(found: RobotDiagnosis, folder: str) -> str:
         **text.common_content(verdict),
         "trials": int(found.system.trial.max()) + 1,
         "folder": folder,
+        "earlier": [text.earlier_sentence(each, of_robot=True) for each in verdict.earlier],
         "findings": found.findings,
         "forward": found.system.motion.forward,
         "external": found.system.motion.external,

@@ -176,15 +176,17 @@ _OUTCOMES = {
 }
 
 
-def earlier_sentence(earlier: Earlier) -> str:
-    """Whether an effect that the arm file listed is confirmed."""
-    name = earlier.effect.replace("_", " ") + _at(earlier.places)
+def earlier_sentence(earlier: Earlier, *, of_robot: bool = False) -> str:
+    """Whether an effect that the arm file, or the amended model, listed is confirmed."""
+    whose = "amended model" if of_robot else "arm file"
+    places = f" at {listed(list(earlier.places))}" if earlier.places else ""
+    name = earlier.effect.replace("_", " ") + (places if of_robot else _at(earlier.places))
     numbers = [
         f"{key} {_with_unit(f'{estimate.value:.3g}', estimate)} (was {earlier.was[key]:.3g})"
         for key, estimate in earlier.now.items()
     ]
     after = f": {', '.join(numbers)}" if numbers and earlier.outcome == "changed" else ""
-    return f"The arm file's {name} is {_OUTCOMES[earlier.outcome]}{after}."
+    return f"The {whose}'s {name} is {_OUTCOMES[earlier.outcome]}{after}."
 
 
 FRICTION_HIDES = (

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.earlier import judged
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts
@@ -28,8 +29,8 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
-from cablesense_gap.system import FOLDS, Altered, System, Unlisted
-from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
+from cablesense_gap.system import FOLDS, Altered, System, Unlisted, problem_of
+from cablesense_gap.verdict import ChannelGap, Earlier, Gap, Verdict, Where
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
 
@@ -437,6 +438,7 @@ def diagnose(
         suspect += wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     suspect += system.in_other_units()
     _refuse(recording, [] if force else suspect)
+    earlier = _judged_earlier(robot, motion, beside)
     healthy = None
     system.recording_name = recording.name
     system.row_count = len(recording)
@@ -448,7 +450,7 @@ def diagnose(
     tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
         system=system,
-        verdict=diagnosis.verdict,
+        verdict=diagnosis.verdict.model_copy(update={"earlier": earlier}),
         amended={**diagnosis.values, **added(diagnosis.tolerances, tolerances)},
         before=diagnosis.nominal * system.comparison.noise,
         after=diagnosis.held_out * system.comparison.noise,
@@ -464,6 +466,19 @@ def diagnose(
         ),
         beside=beside,
     )
+
+
+def _judged_earlier(robot: Robot, motion: Motion, beside: Assignment) -> tuple[Earlier, ...]:
+    """What still stands of the effects that an amended model lists beside its MJCF.
+
+    Numbers of an effect whose size is in the MJCF are left out: they say nothing alone.
+    """
+    tolerances = {t: v for t, v in beside.items() if known_effects()[t.effect].tolerance}
+    system = RobotSystem(robot, motion, tolerances)
+    ranges = parameters_of(system.candidates)
+    sized = {t[:2] for t in beside if t in ranges and ranges[t].role == "size"}
+    listed = {t: value for t, value in beside.items() if t in ranges and t[:2] in sized}
+    return judged(problem_of(system), listed)[1] if listed else ()
 
 
 def _refuse(recording: RobotRecording, suspect: Sequence[str]) -> None:

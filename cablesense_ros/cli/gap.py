@@ -120,7 +120,7 @@ def diagnose(
         )
     else:
         from cablesense_gap.report.page import write_robot_diagnosis
-        from cablesense_gap.report.text import headline
+        from cablesense_gap.report.text import earlier_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_recording
         from cablesense_gap.robot.system import diagnose as make
@@ -153,7 +153,8 @@ def diagnose(
         write_robot_diagnosis(out, diagnosis)
         verdict = diagnosis.verdict
         findings = [text for text in diagnosis.findings if text not in recorded.notes]
-        lines = [*findings, headline(verdict), *verdict.doubts]
+        earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
+        lines = [*findings, headline(verdict), *earlier, *verdict.doubts]
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
