@@ -1,8 +1,4 @@
-"""The amended arm: its file, and the effects that an arm file lists, judged on a new recording.
-
-Listed effects are the finding of an earlier diagnosis. They are fitted again together, and each is
-left out once: it is needed if held-out trials are worse without it by more than chance.
-"""
+"""The amended arm: its file, and the effects that an arm file lists, judged on a new recording."""
 
 from __future__ import annotations
 
@@ -14,10 +10,9 @@ import numpy as np
 import yaml
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.diagnosis.fitting import refit
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.explained import fitted_number
-from cablesense_gap.simulator import Term, parameters_of
+from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.earlier import judged
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Earlier
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
 from cablesense_sim.effects.effect import WHOLE_ARM
@@ -25,13 +20,6 @@ from cablesense_sim.effects.registry import known_effects
 
 AMENDED_ARM = "amended_arm.yaml"
 """In the folder of a diagnosis."""
-_STEPS = 4
-"""Gauss-Newton steps with all listed effects, which start at earlier numbers."""
-_STEPS_WITHOUT = 2
-"""Gauss-Newton steps without one of them, from the fit with all."""
-_WORSE = 1.08
-"""Ratio of the costs without and with an effect from which on the effect is needed:
-`EFFECT_WORTH`."""
 
 
 def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:
@@ -116,49 +104,7 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
     this recording gives them. An arm whose effects cannot be simulated under the recording stays
     as it is.
     """
-    listed = listed_values(arm)
-    fitted = refit(problem, listed, _STEPS)
-    if fitted is None:
+    kept, earlier = judged(problem, listed_values(arm))
+    if not earlier:
         return arm, ()
-    earlier = []
-    kept = dict(fitted.values)
-    for effect in sorted({term.effect for term in listed}):
-        others = {t: v for t, v in fitted.values.items() if t.effect != effect}
-        rest = refit(problem, others, _STEPS_WITHOUT)
-        needed = rest is None or (
-            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted)
-            and fitted.is_clearly_better_than(rest)
-        )
-        if not needed:
-            kept = {t: v for t, v in kept.items() if t.effect != effect}
-        effect_values = {t: v for t, v in listed.items() if t.effect == effect}
-        earlier.append(_judgement(problem, effect_values, fitted, needed=needed))
-    return amended_arm(without_effects(arm), kept, {}), tuple(earlier)
-
-
-def _judgement(
-    problem: Problem, listed: Mapping[Term, float], fitted: Hypothesis, *, needed: bool
-) -> Earlier:
-    """Earlier and present numbers of one effect."""
-    known = parameters_of(problem.simulator.candidates)
-    was = {}
-    now = {}
-    moved = False
-    for term, value in listed.items():
-        parameter = known[term]
-        if parameter.past:
-            continue
-        name = term.parameter if term.place == WHOLE_ARM else f"{term.place}.{term.parameter}"
-        present = fitted_number(parameter, fitted.values[term], fitted.deviations[term])
-        was[name] = value
-        now[name] = present
-        if parameter.role == "size":
-            moved |= not present.ci95[0] <= value <= present.ci95[1]
-    places = dict.fromkeys(term.place for term in listed)
-    return Earlier(
-        effect=next(iter(listed)).effect,
-        places=tuple(place for place in places if place != WHOLE_ARM),
-        outcome="not needed" if not needed else "changed" if moved else "stands",
-        was=was,
-        now=now if needed else {},
-    )
+    return amended_arm(without_effects(arm), kept, {}), earlier

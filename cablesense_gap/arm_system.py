@@ -23,7 +23,7 @@ from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.system import FOLDS, System, Unlisted, problem_of
 from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
-from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
+from cablesense_gap.verdict import UNKNOWN, ChannelGap, Earlier, FittedNumber, Verdict, Where
 from cablesense_recording.checks import check_recording
 from cablesense_recording.recording import (
     EXCHANGED,
@@ -125,6 +125,19 @@ class ArmSystem(ArmSimulator, System):
                     fitted_numbers, hypothesis, name, place, mechanism_of(self.arm)
                 )
         return fitted_numbers
+
+    def trial_number(self, part: int) -> int:
+        """The recording's number of a trial; a long one has several parts."""
+        return int(self.recording.trial[self.trial == part][0])
+
+    def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
+        """The gap in each cable."""
+        sizes_n = [np.sqrt((each**2).mean(0)) for each in (before, after)]
+        columns = zip(self.arm.cable_names, *sizes_n, floor, strict=True)
+        return {
+            name: ChannelGap(unit="N", before=float(b), after=float(a), floor=float(floor_n))
+            for name, b, a, floor_n in columns
+        }
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """The block of the standard protocol that shows how the rivals differ, as text."""

@@ -265,6 +265,7 @@ def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
     return tuple(
         CandidateResult(
             effects=each.effects,
+            unlisted=each.remainder,
             held_out_rmse_n=h.held_out_rmse,
             probability=each.probability,
             held_out_ci95_n=rmse_interval_n(h.squares, h.count),

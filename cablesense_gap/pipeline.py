@@ -10,22 +10,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.by_channel import acting_channels, judged_channels
 from cablesense_gap.diagnosis.duration import expected_s
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
-    ProbabilityCalibration,
+    UNKNOWN,
     Ranked,
     ambiguity,
     bundled_calibration,
-    named,
     near_none,
     posterior,
     rivals_of,
-    without,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import search
@@ -33,15 +33,15 @@ from cablesense_gap.explained import (
     candidate_results,
     gap_size,
     remainder,
-    removes,
     shares,
     significant_values,
     trades,
 )
+from cablesense_gap.partial_answer import PartialAnswer, named_that_removes, partial_answer
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
-from cablesense_gap.verdict import Verdict
+from cablesense_gap.verdict import ChannelGap, Gap, UnlistedBeside, Verdict
 
 DOUBTED = 0.5
 """The largest probability of a verdict that its numbers make doubtful."""
@@ -68,22 +68,6 @@ class Outcome:
     known: NuisancePosterior
     nominal: Array
     held_out: Array
-
-
-def _named_that_removes(
-    problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
-) -> list[Ranked]:
-    """The hypotheses, first the one that the verdict names: one whose effects remove something.
-
-    One that removes nothing is no hypothesis: the others share its probability.
-    """
-    ranked = posterior(hypotheses, problem.floor, calibration)
-    while True:
-        chosen = named(problem, ranked, calibration)
-        best = chosen[0].hypothesis
-        if best is None or not best.effects or removes(problem, best):
-            return chosen
-        ranked = without(ranked, best)
 
 
 def diagnose_system(
@@ -114,37 +98,60 @@ def diagnose_system(
         usual = reference.expected(system, problem)
         problem = problem_since(problem, usual)
     hypotheses = system.completed(problem, search(problem, progress, workers))
+    answer = partial(partial_answer, system, calibration=calibration, progress=progress)
+    part = None
     error = None if reference is not None else system.model_error(problem, hypotheses)
+    if error is not None:
+        everything = posterior(hypotheses, problem.floor, calibration)
+        part = answer(problem, everything)
+        if part is not None and part.explains_the_rest(calibration):
+            error = None
+        else:
+            part = None
     if error is not None:
         usual = expected_of_inexact_model(system, problem, error, hypotheses)
         problem = problem_since(problem, usual)
         hypotheses = system.completed(problem, search(problem, progress, workers))
-    ranked = _named_that_removes(problem, hypotheses, calibration)
+    everything = posterior(hypotheses, problem.floor, calibration)
+    ranked = named_that_removes(problem, everything, calibration)
+    if part is None and ranked[0].effects == UNKNOWN:
+        part = answer(problem, everything)
+    # the readings in which nothing unlisted acts, and the hypotheses that were fitted to these
+    of_effects = problem
+    fitted_to_these = ranked
+    if part is not None:
+        of_effects = part.problem
+        fitted_to_these = list(part.beside)
+        ranked = list(part.ranked)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
     used = problem.used
-    fitted = [r.hypothesis for r in ranked if r.hypothesis is not None]
-    without_effects = next(e for e in fitted if not e.effects)
+    without_effects = next(h for h in hypotheses if not h.effects)
     explained = best or without_effects
     values = significant_values(explained, system.candidates)
-    traded = trades(problem, best) if best else []
+    fitted = fitted_to_these[0].hypothesis
+    traded = trades(of_effects, fitted) if fitted else []
     rest = remainder(problem, explained)
-    group, reasons = ambiguity(problem, ranked, system.unit)
+    group, reasons = ambiguity(of_effects, fitted_to_these, system.unit)
     held_out = explained.held_out
     experiment = ""
     if best:
-        near = rivals_of(ranked) or near_none(ranked)
+        near = rivals_of(fitted_to_these) or near_none(fitted_to_these)
         rivals = [r.hypothesis.values for r in near if r.hypothesis is not None]
         if traded and not rivals:
             one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
             question = f"how much is {one} and how much {other}"
             experiment = system.next_experiment([best.values, traded[0].elsewhere], question)
+        elif part is not None:
+            described = system.unlisted(problem, problem.readings - best.held_out)
+            reasons = (*reasons, *described.reasons)
+            experiment = "" if rivals else described.experiment
         elif rest.share >= _MUCH_UNEXPLAINED and not rivals:
             experiment = system.repetition((system.readings - usual.read(best.held_out))[used])
         experiment = experiment or system.next_experiment([values, *rivals], "")
     else:
         described = system.unlisted(problem, problem.readings - without_effects.held_out)
-        least = min(fitted, key=lambda e: e.held_out_rmse)
+        least = min(hypotheses, key=lambda e: e.held_out_rmse)
         names = " with ".join(least.effects).replace("_", " ") or "none"
         comparison = (
             "On held-out trials, tolerances alone leave "
@@ -155,13 +162,10 @@ def diagnose_system(
         reasons = (comparison, *described.reasons)
         experiment = described.experiment
         held_out = without_effects.held_out + described.correction
-    before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
+    predicted = held_out if part is None or fitted is None else fitted.held_out
+    gap = _gap_of(of_effects, predicted, fitted)
     nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
-    measured = [(system.readings - each)[used] for each in (nominal, held_out)]
-    alone = problem.readings - best.held_out_effects if best and best.effects else None
-    gap = gap_size(
-        before, after, problem.trial[used], problem.floor, None if alone is None else alone[used]
-    )
+    measured = [system.readings - each for each in (nominal, held_out)]
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:
         inexact = (
@@ -174,23 +178,29 @@ def diagnose_system(
     if doubts:
         sure = min(ranked[0].probability, DOUBTED)
         ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
+    stated = [replace(fitted_to_these[0], probability=ranked[0].probability), *ranked[1:]]
+    rows = of_effects.used
+    deviations = _rms((usual.floor / usual.weight)[rows])
+    gaps = system.channels(measured[0][rows], measured[1][rows], deviations)
+    channels = judged_channels(replace(problem, used=rows), explained, gaps, calibration)
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
         ambiguity_group=group,
         next_experiment=experiment,
-        where=system.where(values, measured[0]),
+        where=system.where(values, measured[0][used]),
         parameters=system.numbers(explained, values),
-        shares=shares(problem, ranked, values),
+        shares=shares(of_effects, stated, values),
         traded=tuple(trade.traded for trade in traded),
         forms=system.forms(problem, best) if best else {},
         tolerances_n=rest.tolerances,
+        unlisted=_unlisted(system, problem, ranked, part, channels),
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
         gap=gap,
         doubts=doubts,
         reference=None if reference is None else reference.left,
-        candidates=candidate_results(ranked),
+        candidates=candidate_results(stated),
         why=reasons,
         seconds=time.monotonic() - began_s,
         recording=system.recording_name,
@@ -199,9 +209,55 @@ def diagnose_system(
         rows_counted=int(used.sum()),
         arm=system.name,
         unit=system.unit,
-        channels=system.channels(*measured),
+        channels=channels,
         compared=system.compared,
     )
     progress("done", 1.0)
-    known = nuisance_posterior(problem, explained)
+    known = nuisance_posterior(of_effects, fitted or explained)
     return Outcome(verdict, values, explained.nuisance, known, nominal, held_out)
+
+
+def _gap_of(problem: Problem, held_out: Array, explained: Hypothesis | None) -> Gap:
+    """The gap before and after, predicted as (R, C), and of effects without tolerances."""
+    used = problem.used
+    before = (problem.readings - problem.nominal)[used]
+    after = (problem.readings - held_out)[used]
+    alone = None
+    if explained is not None and explained.effects:
+        alone = (problem.readings - explained.held_out_effects)[used]
+    return gap_size(before, after, problem.trial[used], problem.floor, alone)
+
+
+def _unlisted(
+    system: System,
+    problem: Problem,
+    ranked: Sequence[Ranked],
+    part: PartialAnswer | None,
+    channels: Mapping[str, ChannelGap],
+) -> UnlistedBeside | None:
+    """What acts beside the named effects; none where no effect is named."""
+    explained = ranked[0].hypothesis
+    if explained is None or not explained.effects:
+        return None
+    acting = acting_channels(channels)
+    probability = sum(r.probability for r in ranked if r.remainder or r.effects == UNKNOWN)
+    if part is None:
+        if not acting:
+            return None
+        in_one = max(gap.unlisted or 0.0 for gap in channels.values())
+        return UnlistedBeside(probability=max(probability, in_one), channels=acting)
+    acts = part.extent.readings(problem)
+    trials = {system.trial_number(int(number)) for number in part.extent.trials.nonzero()[0]}
+    residuals = (problem.readings - each for each in (problem.nominal, explained.held_out))
+    before_n, after_n = (float(np.sqrt((each[acts] ** 2).mean())) for each in residuals)
+    return UnlistedBeside(
+        probability=probability,
+        channels=acting,
+        trials=tuple(sorted(trials)),
+        before_n=before_n,
+        after_n=after_n,
+    )
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt((values**2).mean(0)))

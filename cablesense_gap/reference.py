@@ -164,7 +164,7 @@ class Reference:
             recording=system.recording_name,
             before_n=float(np.sqrt((before**2).mean())),
             left_n=float(np.sqrt((unexplained**2).mean())),
-            channels=system.channels(before, unexplained),
+            channels=system.channels(before, unexplained, np.full(before.shape[1], system.floor)),
         )
 
     def expected(self, system: System, problem: Problem) -> Expected:

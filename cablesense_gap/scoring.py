@@ -312,7 +312,10 @@ def _judged(verdict: Verdict, answer: Truth) -> dict[str, Any]:
     truth = answer.effects
     named = verdict.effects
     gap = verdict.gap
-    weighed = {c.effects: c.probability for c in verdict.candidates}
+    weighed: dict[tuple[str, ...], float] = {}
+    for candidate in verdict.candidates:  # with something unlisted beside them and without
+        known = weighed.get(candidate.effects, 0.0)
+        weighed[candidate.effects] = known + candidate.probability
     others = [c.effects for c in verdict.ranked if c.effects != named]
     ratio = answer.gap_over_floor
     if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
@@ -341,7 +344,7 @@ def places_right(verdict: Verdict, where: str) -> bool | None:
     names are compared. A robot's are words; of what one place does to another the first counts.
     """
     named = set(verdict.where.places)
-    if verdict.channels:
+    if verdict.of_robot:
         places = set(re.sub(r"_into_\S+", "", where).split())
         return named == places if places else None
     places = set(re.findall(r"(?:cable|segment|joint)_[1-9]\d*", where))

@@ -168,8 +168,19 @@ class System(ABC):
         """Reasons, as sentences, for which a hypothesis with these values cannot be sure."""
         return ()
 
-    def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
-        """Gaps by channel in their own units, of residuals (counted rows, C); may be empty."""
+    def channel_groups(self) -> NDArray[np.int64]:
+        """(C,) 0 to G - 1: the channels of a group, as a joint, have their causes together."""
+        return np.arange(self.readings.shape[1])
+
+    def trial_number(self, part: int) -> int:
+        """The recording's number of a trial, of which `trial` has the part."""
+        return int(np.unique(self.trial)[part])
+
+    def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
+        """Gaps by channel in their own units, in the order of the channels; may be empty.
+
+        The residuals are (counted rows, C), the floors (C,), both in the units of the readings.
+        """
         return {}
 
 

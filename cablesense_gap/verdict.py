@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -57,6 +58,9 @@ ParameterName = Annotated[
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-/]+$")]
 """A robot's joints and bodies have their model's names."""
 ChannelName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-/.]+$")]
+
+
+_CABLE = re.compile(r"cable_[1-9]\d*")
 
 
 class Where(FilePart):
@@ -149,12 +153,46 @@ class Gap(FilePart):
 
 
 class ChannelGap(FilePart):
-    """The gap in one channel in its own unit, RMS, on trials that the fit has not seen."""
+    """The gap in one channel in its own unit, RMS, on trials that the fit has not seen.
+
+    Attributes:
+        removed_fraction: share of its removable gap removed, as of `Gap`.
+        effects: those of the verdict that change it, the one that changes it most first.
+        unlisted: the probability that something unlisted acts in it besides.
+    """
 
     unit: str
     before: Annotated[float, Field(ge=0.0)]
     after: Annotated[float, Field(ge=0.0)]
     floor: Annotated[float, Field(ge=0.0)]
+    removed_fraction: Annotated[float, Field(le=1.0)] | None = None
+    effects: tuple[Name, ...] = ()
+    unlisted: Probability | None = None
+
+    @property
+    def kept(self) -> float:
+        """Share of its removable gap that stays, 0 to 1."""
+        removed = removed_fraction(self.before, self.after, self.floor)
+        return min(max(1.0 - removed, 0.0), 1.0) if self.before > self.floor else 0.0
+
+
+class UnlistedBeside(FilePart):
+    """Something that no list has and that acts beside the named effects.
+
+    Attributes:
+        probability: that it is there.
+        channels: in which it acts, more probably than not.
+        trials: of the recording, if it acts in these alone.
+        before_n: RMS gap of the nominal machine in the readings that are left to it; none if
+            the named effects are weighed by all readings.
+        after_n: the same with the named effects.
+    """
+
+    probability: Probability
+    channels: tuple[ChannelName, ...] = ()
+    trials: tuple[int, ...] = ()
+    before_n: Newtons | None = None
+    after_n: Newtons | None = None
 
 
 class CandidateResult(FilePart):
@@ -162,7 +200,8 @@ class CandidateResult(FilePart):
 
     Attributes:
         effects: `["none"]`, `["unknown"]`, or names in alphabetical order.
-        held_out_rmse_n: RMS residual on held-out trials.
+        unlisted: whether something unlisted acts beside these effects.
+        held_out_rmse_n: RMS residual on held-out trials, where nothing unlisted acts.
         probability: that it is the truth.
         held_out_ci95_n: interval of `held_out_rmse_n`, by bootstrap over trials.
     """
@@ -171,6 +210,7 @@ class CandidateResult(FilePart):
     held_out_rmse_n: Newtons
     probability: Probability
     held_out_ci95_n: Interval | None = None
+    unlisted: bool = False
 
 
 DECIDING_ERROR: Final = "wrong_force_n"
@@ -258,9 +298,10 @@ class Verdict(FilePart):
         traded: pairs of these whose shares trade against each other, the largest first.
         forms: of a robot, by joint, the law of its friction.
         earlier: effects that the arm file listed; the verdict's effects are additional.
+        unlisted: what acts beside the effects named and is in no list; none where nothing does.
         candidates: all hypotheses weighed, in any order.
         reference: present if the verdict says what changed since a healthy recording.
-        channels: for a robot, the gap at each joint in its own unit.
+        channels: the gap in each cable, or at each joint of a robot, in its own unit.
         doubts: for a robot, why the amended model is doubtful, as sentences; the probability is
             then at most a half.
         rows_used: of the recording's `rows`; sizes are over those `rows_counted` of them in which
@@ -279,6 +320,7 @@ class Verdict(FilePart):
     forms: dict[PlaceName, FrictionForm] = Field(default_factory=dict)
     earlier: tuple[Earlier, ...] = ()
     tolerances_n: Newtons | None = None
+    unlisted: UnlistedBeside | None = None
     unexplained_n: Newtons | None = None
     unexplained_share: Probability | None = None
     candidates: tuple[CandidateResult, ...] = ()
@@ -303,10 +345,18 @@ class Verdict(FilePart):
             raise ValueError(
                 f"candidates: probabilities add up to {total:.4g}; at most 1 is right"
             )
-        for effects, count in Counter(c.effects for c in self.candidates).items():
+        kinds = Counter((c.effects, c.unlisted) for c in self.candidates)
+        for (effects, _), count in kinds.items():
             if count > 1:
                 raise ValueError(f"candidates: {joined(effects)} stands twice; each must be once")
         return self
+
+    @property
+    def of_robot(self) -> bool:
+        """Whether its machine is a robot: channels that are no cables, each with its own floor."""
+        return self.unit == "floors" or any(
+            not _CABLE.fullmatch(channel) for channel in self.channels
+        )
 
     @property
     def ranked(self) -> tuple[CandidateResult, ...]:

@@ -141,7 +141,8 @@ def read_robot_recording(
     Files of a folder do not share trials. `topics` are those of a bag to read where several fit.
     `efforts` state what efforts are, where these are no torques in N·m or N, as of
     `efforts.stated_efforts`. With `kinematics` joints that have no positions are found by poses.
-    With `force` a channel that stands still while its joint moves is no reason to refuse.
+    With `force` a channel that stands still while its joint moves is no reason to refuse, nor
+    are positions that are large for rad, as those of a drum.
 
     Raises:
         RecordingError: no such file, neither CSV nor a bag, a column missing or of another robot,
@@ -171,7 +172,7 @@ def read_robot_recording(
     trial, note = _trials(parts)
     every = _joined(parts)
     every[TRIAL] = trial.astype(np.float64)
-    _check_units(path, channels, every)
+    notes += _check_units(path, channels, every, force=force)
     constant = [
         number
         for number in constant_channels(channels.labels(Kind.TORQUE), every["torque"])
@@ -483,8 +484,11 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
     return cut
 
 
-def _check_units(path: Path, channels: RobotChannels, every: Mapping[str, Array]) -> None:
-    """Milliseconds, degrees, and a robot that does not move."""
+def _check_units(
+    path: Path, channels: RobotChannels, every: Mapping[str, Array], *, force: bool
+) -> list[str]:
+    """Milliseconds, degrees, and a robot that does not move; what `force` lets pass, as notes."""
+    notes = []
     interval = np.diff(every[TIME])
     within = np.diff(every[TRIAL]) == 0
     position = every["position"]
@@ -500,12 +504,14 @@ def _check_units(path: Path, channels: RobotChannels, every: Mapping[str, Array]
     hinges &= np.array(channels.limited) | (speed > _MOST_RAD_S)
     largest = np.abs(position[:, hinges]).max(initial=0.0)
     if largest > _MOST_RAD:
-        raise RecordingError(
-            f"{path}: positions reach {largest:.4g}; they must be in rad (degrees given?)"
-        )
+        text = f"positions reach {largest:.4g}; they must be in rad (degrees given?)"
+        if not force:
+            raise RecordingError(f"{path}: {text}; if they are, continue with --force")
+        notes.append(f"{text[0].upper()}{text[1:]}.")
     moved = np.ptp(position, axis=0)
     if moved.max(initial=0.0) <= 0.0:
         raise RecordingError(f"{path}: no joint moves; a recording of motion is right")
+    return notes
 
 
 def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iterator[Finding]:

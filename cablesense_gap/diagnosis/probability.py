@@ -38,7 +38,7 @@ UNKNOWN = ("unknown",)
 NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
-_EQUAL = 0.9
+EQUAL = 0.9
 """Hypotheses with this share of the best one's probability are ordered by their residual."""
 
 PARALLEL = 0.75
@@ -83,11 +83,15 @@ def bundled_calibration() -> ProbabilityCalibration:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A hypothesis, or an unlisted effect, with its probability."""
+    """A hypothesis, or an unlisted effect, with its probability.
+
+    With a `remainder`, something unlisted acts beside the effects of the hypothesis.
+    """
 
     effects: tuple[str, ...]
     probability: float
     hypothesis: Hypothesis | None
+    remainder: bool = False
 
 
 def posterior(
@@ -97,7 +101,100 @@ def posterior(
 
     `hypotheses` contain the one of nuisance parameters alone, which is named `none`.
     """
-    weights = log_weights(
+    weights = _log_weights_of(hypotheses, floor, calibration)
+    shares = np.exp(weights - weights.max())
+    shares /= shares.sum()
+    ranked = [
+        Ranked(h.effects or ("none",), float(share), h)
+        for h, share in zip(hypotheses, shares, strict=False)
+    ]
+    ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
+    return _in_order(ranked)
+
+
+def posterior_beside_unlisted(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+) -> list[Ranked]:
+    """Probabilities of the listed effects given that an unlisted one acts in all readings.
+
+    The unlisted effect alone takes the place of the hypothesis without effects. What the listed
+    ones leave is the unlisted one's, and is weighed as if the best listed one imitated it.
+    """
+    weights = _log_weights_beside_unlisted(hypotheses, floor, calibration)
+    shares = np.exp(weights - weights.max())
+    shares /= shares.sum()
+    ranked = [
+        Ranked(h.effects, float(share), h, remainder=True)
+        if h.effects
+        else Ranked(UNKNOWN, float(share), None)
+        for h, share in zip(hypotheses, shares, strict=True)
+    ]
+    return _in_order(ranked)
+
+
+def probability_of_unlisted(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+) -> float:
+    """The probability that something unlisted acts, alone or beside effects of the list."""
+    listed_alone = _log_weights_of(hypotheses, floor, calibration)[:-1]
+    beside = _log_weights_beside_unlisted(hypotheses, floor, calibration)
+    log_odds = np.logaddexp.reduce(beside) - np.logaddexp.reduce(listed_alone)
+    return float(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _log_weights_beside_unlisted(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+) -> Array:
+    """(H,) as `log_weights`, of each hypothesis with an unlisted effect beside it.
+
+        log w = -κ log √((φ r)² + (γ σ₀)²) - π(k) - ν n - τ (s / m - 1) - p - π_unknown
+
+    Without effects it is the unlisted effect alone.
+    """
+    c = calibration
+    nuisance_count = max(hypotheses[0].nuisance_count, 1)
+    least = _beyond_floor(0.0, floor, c)
+    left = [_stand_in(_beyond_floor(h.held_out_rmse, floor, c), floor, c) for h in hypotheses]
+    penalties = [_penalty(h, nuisance_count, c) if h.effects else 0.0 for h in hypotheses]
+    return -c.power * np.log(np.array(left) / least) - np.array(penalties) - c.unknown
+
+
+def probability_unlisted(
+    held_out_rmse: float, floor: float, calibration: ProbabilityCalibration
+) -> float:
+    """The probability that something unlisted acts beside an explanation in some channels.
+
+    It follows from what the explanation leaves of them: the odds of the explanation with an
+    unlisted effect and without one.
+    """
+    c = calibration
+    left = _beyond_floor(held_out_rmse, floor, c)
+    log_odds = c.power * np.log(left / _stand_in(left, floor, c)) - c.unknown
+    return float(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _beyond_floor(held_out_rmse: float, floor: float, c: ProbabilityCalibration) -> float:
+    """What is left beyond the floor, at least what no hypothesis can avoid."""
+    return float(np.hypot(noise_corrected_rms(held_out_rmse**2, floor), c.floor_share * floor))
+
+
+def _stand_in(left: float, floor: float, c: ProbabilityCalibration) -> float:
+    """What the best listed effects leave of an unlisted one that makes a gap of `left`."""
+    return float(np.hypot(c.share * left, c.stand_in * floor))
+
+
+def _penalty(h: Hypothesis, nuisance_count: float, c: ProbabilityCalibration) -> float:
+    """What its effects, sizes and tolerances cost a hypothesis, natural logarithm."""
+    off = max(h.nuisance_chi2 / nuisance_count, 1.0) - 1.0
+    effects = c.one + (len(h.effects) - 1) * (c.two - c.one)
+    return effects + c.size * h.sizes + h.log_prior_penalty + c.tolerance_chi2 * off
+
+
+def _log_weights_of(
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+) -> Array:
+    """(H + 1,) see `log_weights`."""
+    return log_weights(
         np.array([h.held_out_rmse for h in hypotheses]),
         np.array([len(h.effects) for h in hypotheses]),
         np.array([h.sizes for h in hypotheses]),
@@ -107,14 +204,11 @@ def posterior(
         calibration,
         np.array([h.log_prior_penalty for h in hypotheses]),
     )
-    shares = np.exp(weights - weights.max())
-    shares /= shares.sum()
-    ranked = [
-        Ranked(h.effects or ("none",), float(share), h)
-        for h, share in zip(hypotheses, shares, strict=False)
-    ]
-    ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    least = _EQUAL * max(each.probability for each in ranked)
+
+
+def _in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
+    """The most probable first; those that are about as probable by what they leave."""
+    least = EQUAL * max(each.probability for each in ranked)
 
     def rank(each: Ranked) -> tuple[bool, float]:
         held_out_rmse = each.hypothesis.held_out_rmse if each.hypothesis else np.inf
@@ -136,7 +230,7 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
-    together = _together(problem, ranked)
+    together = imitating_best(problem, ranked)
     if sum(each.probability for each in together) > first.probability:
         return [*together[:1], *(each for each in ranked if each is not together[0])]
     fitted = {frozenset(h.effects): h for r in ranked if (h := r.hypothesis)}
@@ -162,7 +256,7 @@ def without(ranked: Sequence[Ranked], excluded: Hypothesis) -> list[Ranked]:
     return [replace(each, probability=each.probability / total) for each in others]
 
 
-def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
+def imitating_best(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
     """The most probable hypothesis with effects, and those that it and they imitate mutually."""
     fitted = [(each, h) for each in ranked if _names_an_effect(each) and (h := each.hypothesis)]
     return [

@@ -429,16 +429,7 @@ class _Search:
         return min([self._none, *self._fitted_by_effects.values()], key=self._problem.score)
 
     def _is_redundant(self, hypothesis: Hypothesis) -> bool:
-        """Whether fewer of its effects do about as well."""
-        fewer = [
-            h for h in self._fitted_by_effects.values() if set(h.effects) < set(hypothesis.effects)
-        ]
-        cost = self._problem.cost_of(hypothesis)
-        return any(
-            self._problem.cost_of(h) < _REDUNDANT_COST_RATIO * cost
-            or not self._problem.shows(hypothesis, h)
-            for h in fewer
-        )
+        return is_redundant(self._problem, hypothesis, self._fitted_by_effects.values())
 
     def _may_depend_on_history(self) -> bool:
         """Whether history-dependent effects may cause the residual of the best hypothesis."""
@@ -462,6 +453,16 @@ class _Search:
             self._problem.cost_of(h) <= little or self._problem.is_explained(h)
             for h in self._fitted_by_effects.values()
         )
+
+
+def is_redundant(problem: Problem, hypothesis: Hypothesis, others: Iterable[Hypothesis]) -> bool:
+    """Whether one of the others, with fewer of its effects, does about as well."""
+    fewer = [h for h in others if set(h.effects) < set(hypothesis.effects)]
+    cost = problem.cost_of(hypothesis)
+    return any(
+        problem.cost_of(h) < _REDUNDANT_COST_RATIO * cost or not problem.shows(hypothesis, h)
+        for h in fewer
+    )
 
 
 def _compatible_columns(start: Hypothesis, columns: Sequence[LinearEffect]) -> list[LinearEffect]:

@@ -44,7 +44,7 @@ _LEAST_CHANGE = 1e-12
 """RMS change below which a column counts as zero, in the unit of the channels: rounding."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearEffect:
     """One effect in one place, linear in its scaled numbers.
 
@@ -277,6 +277,8 @@ class Selection:
         ]
         fold_of_row = problem.fold[problem.trial]
         residual = problem.readings - about.without_nuisance - problem.nuisance_remainder
+        self._columns = columns
+        self._residual = residual
         self._data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self._precision = np.concatenate([np.ones(self._base), *(e.precision for e in offered)])
         self._folds = np.arange(len(self._data.count))
@@ -425,6 +427,13 @@ class Selection:
             for score, chosen in found
         ]
         return sorted(proposals, key=lambda proposal: proposal.forecast)
+
+    def left_by(self, proposal: Proposal) -> Array:
+        """The residual (R, C) of one of its proposals, nuisance parameters fitted along."""
+        chosen = [k for k, each in enumerate(self._offered) if each in proposal.added]
+        columns = [*self._columns[:2], *(self._offered[k].columns for k in chosen)]
+        coefficients = self._fitted(chosen)[0]
+        return self._residual - np.tensordot(coefficients, np.concatenate(columns), axes=1)
 
     def kept(self) -> list[int]:
         """Offered locations that are worth their penalty: one, or an effect, goes at a time."""

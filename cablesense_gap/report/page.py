@@ -144,6 +144,7 @@ def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -
         "next": robot_next_step(
             verdict, given or Given(out=folder, external=found.system.motion.external)
         ),
+        "earlier": [text.earlier_sentence(each, of_robot=True) for each in verdict.earlier],
         "findings": found.findings,
         "forward": found.system.motion.forward,
         "external": found.system.motion.external,

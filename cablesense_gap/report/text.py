@@ -34,6 +34,8 @@ SURE = 0.9
 """A verdict of at least this probability is stated without `probably`."""
 PROBABLE = 0.5
 """A verdict is called probable above this, and otherwise one of several that are likely."""
+_MOST_KEPT = 3
+"""Channels whose remaining gaps stand in a sentence one by one."""
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
@@ -56,15 +58,81 @@ def headline(verdict: Verdict) -> str:
             f"({sure})."
         )
     if verdict.effects == (UNKNOWN,):
-        where = "" if verdict.channels else _at(verdict.where.places)
+        where = "" if verdict.of_robot else _at(verdict.where.places)
         return (
             f"Something that no known effect explains makes a gap of {gap}{where}{since} ({sure})."
         )
+    if verdict.unlisted is not None:
+        whole = f"what changed{since}" if since else "the gap"
+        beside = unlisted_text(verdict)
+        return f"Part of {whole} {_causes(verdict)}; {beside}."
     what = f"What changed{since}" if since else "The gap"
     if len(verdict.effects) == 1:
         (name,) = verdict.effects
         return f"{what} {_comes(verdict.probability)} from {cause(verdict, name)} ({sure})."
     return f"{what} {_causes(verdict)}; together they are {sure}."
+
+
+def unlisted_text(verdict: Verdict) -> str:
+    """What acts beside the named effects, by channel in its unit and per cent.
+
+    Empty where nothing does.
+    """
+    unlisted = verdict.unlisted
+    if unlisted is None:
+        return ""
+    texts = []
+    if unlisted.trials:
+        numbers = listed([str(trial) for trial in unlisted.trials])
+        trials = f"trial{'s' if len(unlisted.trials) > 1 else ''} {numbers}"
+        gap = "" if unlisted.after_n is None else f" of {_left(unlisted.after_n, verdict)}"
+        texts.append(f"in {trials} nothing in the list explains a gap{gap}")
+    if unlisted.channels:
+        texts.append(f"{_kept(verdict, unlisted.channels)}, which nothing in the list explains")
+    if not texts:
+        sure = percent(unlisted.probability)
+        texts.append(f"something that no known effect explains acts as well ({sure})")
+    return ", and ".join(texts)
+
+
+def removed_by_channel(verdict: Verdict) -> str:
+    """`: 94 % of what can be removed at joint_2, down to 3 % at joint_5`; empty without channels.
+
+    The channels with a gap count, so that one with a small floor does not speak for all.
+    """
+    removed = {
+        name: gap.removed_fraction
+        for name, gap in verdict.channels.items()
+        if gap.removed_fraction is not None and gap.before > gap.floor
+    }
+    if not removed:
+        return ""
+    most, least = (pick(removed, key=lambda name: removed[name]) for pick in (max, min))
+    high, low = percent(max(removed[most], 0.0)), percent(max(removed[least], 0.0))
+    if high == low:
+        return f": {high} of what can be removed in every channel with a gap"
+    return f": {high} of what can be removed at {most}, down to {low} at {least}"
+
+
+def _left(size: float, verdict: Verdict) -> str:
+    return size_text(size, verdict.unit)
+
+
+def _kept(verdict: Verdict, names: tuple[str, ...]) -> str:
+    """`joint_3 and joint_5 keep 1.2 and 0.8 N·m, 82 and 70 % of their gaps`."""
+    gaps = [verdict.channels[name] for name in names]
+    shares = [gap.kept for gap in gaps]
+    kind = "cables" if not verdict.of_robot else "channels"
+    if len(names) > _MOST_KEPT:
+        low, high = percent(min(shares)), percent(max(shares))
+        between = low if low == high else f"{low.removesuffix(' %')} to {high}"
+        return f"{len(names)} of {len(verdict.channels)} {kind} keep {between} of their gaps"
+    plain = [name if verdict.of_robot else name.replace("_", " ") for name in names]
+    sizes = [f"{gap.after:.2g} {gap.unit}" for gap in gaps]
+    kept = listed([percent(share) for share in shares])
+    if len(names) == 1:
+        return f"{plain[0]} keeps {sizes[0]}, {kept} of its gap"
+    return f"{listed(plain)} keep {listed(sizes)}, {kept} of their gaps"
 
 
 def _comes(probability: float) -> str:
@@ -109,15 +177,17 @@ _OUTCOMES = {
 }
 
 
-def earlier_sentence(earlier: Earlier) -> str:
-    """Whether an effect that the arm file listed is confirmed."""
-    name = earlier.effect.replace("_", " ") + _at(earlier.places)
+def earlier_sentence(earlier: Earlier, *, of_robot: bool = False) -> str:
+    """Whether an effect that the arm file, or the amended model, listed is confirmed."""
+    whose = "amended model" if of_robot else "arm file"
+    places = f" at {listed(list(earlier.places))}" if earlier.places else ""
+    name = earlier.effect.replace("_", " ") + (places if of_robot else _at(earlier.places))
     numbers = [
         f"{key} {_with_unit(f'{estimate.value:.3g}', estimate)} (was {earlier.was[key]:.3g})"
         for key, estimate in earlier.now.items()
     ]
     after = f": {', '.join(numbers)}" if numbers and earlier.outcome == "changed" else ""
-    return f"The arm file's {name} is {_OUTCOMES[earlier.outcome]}{after}."
+    return f"The {whose}'s {name} is {_OUTCOMES[earlier.outcome]}{after}."
 
 
 FRICTION_HIDES = (
@@ -151,7 +221,7 @@ def error_rows(estimator: EstimatorErrors) -> list[tuple[str, str, str]]:
 
 def _known(verdict: Verdict) -> Mapping[str, EffectDescription]:
     """Effects of its kind of machine; those not installed here keep their names in a report."""
-    if not verdict.channels:
+    if not verdict.of_robot:
         return known_effects()
     from cablesense_gap.robot import amending  # loads MuJoCo
 
@@ -163,7 +233,7 @@ def cause(verdict: Verdict, name: str) -> str:
     effect = _known(verdict).get(name)
     about = effect.about if effect else name.replace("_", " ")
     places = effect_places(verdict, name)
-    if not verdict.channels:
+    if not verdict.of_robot:
         return about + _at(places)
     named = listed([place.replace("_into_", " into ") for place in places])
     return f"{about} at {named}{_law_text(verdict, name, places)}" if places else about
@@ -201,7 +271,7 @@ def rival_names(verdict: Verdict) -> list[str]:
 
 def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
     """Places of an effect of the verdict; empty for the whole arm or robot."""
-    if verdict.channels:
+    if verdict.of_robot:
         return verdict.shares[effect].places if effect in verdict.shares else ()
     names = [name.split(".") for name in verdict.parameters]
     middles = [middle for name, *middle, _ in names if name == effect]
@@ -315,7 +385,7 @@ def gap_bars(verdict: Verdict) -> list[Bar]:
         effects = listed([candidate_name((name,)) for name in verdict.effects])
         sizes.append((f"with {effects} alone", gap.effects_n, "after"))
         sizes.append(("with tolerances as well", gap.after_n, "after"))
-    elif verdict.effects == (UNKNOWN,) and not verdict.channels:
+    elif verdict.effects == (UNKNOWN,) and not verdict.of_robot:
         sizes.append(("with a flexible correction", gap.after_n, "other"))
     else:
         sizes.append(("with tolerances as fitted", gap.after_n, "other"))
@@ -369,6 +439,7 @@ def common_content(verdict: Verdict) -> dict[str, Any]:
         "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,
         "bars": gap_bars(verdict),
+        "removed_by_channel": removed_by_channel(verdict),
         "steps": steps(verdict),
     }
 

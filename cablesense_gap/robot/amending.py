@@ -127,6 +127,8 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
     for a in robot.servos[change.servo_gain != 0.0].tolist():
         spec.actuators[a].gainprm = model.actuator_gainprm[a]
         spec.actuators[a].biasprm = model.actuator_biasprm[a]
+    for body in spec.bodies:
+        body.simple = True  # as by default, which is not written: MuJoCo 3.2 does not know it
     return str(spec.to_xml())
 
 

@@ -26,6 +26,10 @@ _TOUCHED = 0.02
 """Change of the share that a channel leaves, from which on changed columns touch it."""
 _MOST = 2.0
 """Largest share of a channel that a residual counts as."""
+_NEXT_ROW = 3.0
+"""Times the usual interval up to which rows follow each other."""
+_NEAR_TURN = 0.1
+"""Share of a turn by which a jump may differ from one: joints move from row to row, a little."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
 _FURTHER = 0.5
@@ -95,6 +99,21 @@ def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, Rob
             sign = np.where(np.arange(values.shape[1]) == a, -1.0, 1.0)
             text = f"{kind}.{labels[a]} looks as if it had the other sign"
             yield text, changed(values * sign)
+
+
+def wrapped(recording: RobotRecording, robot: Robot) -> list[str]:
+    """Hinges whose position jumps by a whole turn from one row to the next, as sentences."""
+    interval_s = np.diff(recording.time_s)
+    usual_s = float(np.median(interval_s[interval_s > 0.0]))
+    in_turn = (interval_s > 0.0) & (interval_s <= _NEXT_ROW * usual_s)
+    step = np.diff(recording.position, axis=0) / (2.0 * np.pi)
+    jumps = in_turn[:, None] & (np.abs(np.abs(step) - 1.0) < _NEAR_TURN)
+    return [
+        f"position.{robot.joints[j]} jumps by a whole turn before row "
+        f"{np.flatnonzero(jumps[:, j])[0] + 2}: it is wrapped, and must be continuous"
+        for j in np.flatnonzero(jumps.any(0)).tolist()
+        if robot.position_units[j] == "rad"
+    ]
 
 
 def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.earlier import judged
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts, friction_forms
@@ -29,8 +30,8 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
-from cablesense_gap.system import FOLDS, Altered, System, Unlisted
-from cablesense_gap.verdict import ChannelGap, FrictionForm, Gap, Verdict, Where
+from cablesense_gap.system import FOLDS, Altered, System, Unlisted, problem_of
+from cablesense_gap.verdict import ChannelGap, Earlier, FrictionForm, Gap, Verdict, Where
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
 
@@ -46,6 +47,8 @@ _FOLLOWS = 0.8
 """Least correlation of a channel with the model's for its unit to be judged."""
 _OTHER_UNIT = 5.0
 """Ratio of a channel and the model's from which on its unit is doubtful."""
+_NO_TORQUE = 0.01
+"""Share of the largest torque at a joint of the model below which a joint has none to compare."""
 _PROBED = 0.01
 """Error of a zero by which its influence is found, rad or m."""
 _USUAL = 0.1
@@ -267,11 +270,16 @@ class RobotSystem(System):
         inertia = self.motion.inertia
         return tuple(doubts.of_verdict(self.robot, change, inertia, ranges, values, gap))
 
-    def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
+    def channel_groups(self) -> NDArray[np.int64]:
+        """Position and speed of a joint have their causes together."""
+        joints = [self.robot.joints.index(name.split(".")[-1]) for name in self.comparison.names]
+        return np.unique(joints, return_inverse=True)[1].astype(np.int64)
+
+    def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
         compared = self.comparison
         sizes = [np.sqrt((each**2).mean(0)) * compared.floor for each in (before, after)]
-        columns = zip(compared.names, compared.units, *sizes, compared.floor, strict=True)
+        columns = zip(compared.names, compared.units, *sizes, floor * compared.floor, strict=True)
         return {
             name: ChannelGap(unit=unit, before=float(b), after=float(a), floor=float(floor))
             for name, unit, b, a, floor in columns
@@ -314,18 +322,27 @@ class RobotSystem(System):
 
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but in another unit."""
+        return [
+            f"{column} is {ratio:.2g} times the model's value: check its unit."
+            for column, ratio in self._ratios().items()
+            if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
+        ]
+
+    def _ratios(self) -> dict[str, float]:
+        """By column, the size of a channel that follows the model's, by that of the model's.
+
+        Without channels in which the model has about no torque: what it follows there is chance.
+        """
         predicted = self.predict([{}])[0]
         measured, modelled = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
-        sentences = []
-        for c in np.flatnonzero(measured * modelled):
-            follows = self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]
-            ratio = measured[c] / modelled[c]
-            if follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-                column = self.comparison.columns[c]
-                sentences.append(
-                    f"{column} is {ratio:.2g} times the model's value: check its unit."
-                )
-        return sentences
+        torque = np.linalg.norm(predicted * self.comparison.noise, axis=0)
+        units = np.array(self.comparison.units)
+        largest = np.array([torque[units == unit].max() for unit in units])
+        ratios = {}
+        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE * largest)):
+            if self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]:
+                ratios[self.comparison.columns[c]] = float(measured[c] / modelled[c])
+        return ratios
 
 
 def _places(effect: RobotEffect, robot: Robot, motion: Motion) -> tuple[str, ...]:
@@ -410,25 +427,26 @@ def diagnose(
     (`bandwidth_hz`, `forward`, `zeroed`, `external`) is as of `prepared`. `progress` receives the
     present step and the share of the whole that is done, `announce` the seconds that the search
     will take, before it begins; `workers` processes share it.
-    With `force` it continues if columns look exchanged or reversed; the findings then say so.
+    With `force` it continues if columns look exchanged, reversed, wrapped or in another unit; the
+    findings then say so.
     A `reference` is of the same robot when it was healthy; the verdict says what changed since.
 
     Raises:
         RecordingError: the recording or the reference cannot be compared, or columns look
-            exchanged.
+            exchanged, wrapped or in another unit.
     """
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
+    suspect = doubts.wrapped(recording, robot)
+    _refuse(recording, [] if force else suspect)
     motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed, external=external)
 
-    suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
-    if suspect and not force:
-        raise RecordingError(
-            f"{recording.name}: {'; '.join(suspect)}: correct the recording, or continue with "
-            "--force"
-        )
     system = RobotSystem(robot, motion, beside)
+    if not external:
+        suspect += wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
+    _refuse(recording, [] if force else suspect)
+    earlier = _judged_earlier(robot, motion, beside)
     healthy = None
     system.recording_name = recording.name
     system.row_count = len(recording)
@@ -440,7 +458,7 @@ def diagnose(
     tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
         system=system,
-        verdict=diagnosis.verdict,
+        verdict=diagnosis.verdict.model_copy(update={"earlier": earlier}),
         amended={**diagnosis.values, **added(diagnosis.tolerances, tolerances)},
         before=diagnosis.nominal * system.comparison.noise,
         after=diagnosis.held_out * system.comparison.noise,
@@ -470,6 +488,32 @@ def _of_efforts(recording: RobotRecording, system: RobotSystem) -> Iterator[str]
         yield (
             f"1 A at {robot.joints[joint]} is taken for {motion.gain[joint]:.3g} "
             f"{robot.torque_units[joint]}, and how much more or less it is, is fitted."
+        )
+
+
+def _judged_earlier(robot: Robot, motion: Motion, beside: Assignment) -> tuple[Earlier, ...]:
+    """What still stands of the effects that an amended model lists beside its MJCF.
+
+    Numbers of an effect whose size is in the MJCF are left out: they say nothing alone.
+    """
+    tolerances = {t: v for t, v in beside.items() if known_effects()[t.effect].tolerance}
+    system = RobotSystem(robot, motion, tolerances)
+    ranges = parameters_of(system.candidates)
+    sized = {t[:2] for t in beside if t in ranges and ranges[t].role == "size"}
+    listed = {t: value for t, value in beside.items() if t in ranges and t[:2] in sized}
+    return judged(problem_of(system), listed)[1] if listed else ()
+
+
+def _refuse(recording: RobotRecording, suspect: Sequence[str]) -> None:
+    """Raise if anything is suspect.
+
+    Raises:
+        RecordingError: names it.
+    """
+    if suspect:
+        raise RecordingError(
+            f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
+            "--force"
         )
 
 

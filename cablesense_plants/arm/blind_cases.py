@@ -157,7 +157,7 @@ def make_case(
     """Case `index` (from 1, as in its name `case_001`) of the set of a seed.
 
     `kind` is `none`, `unknown`, the name of an effect inside or outside the list, or several
-    inside it joined by `+`. An arm that finds no rest is drawn anew.
+    joined by `+`. An arm that finds no rest is drawn anew.
 
     Raises:
         PlantError: a kind that is none of those, or no arm that finds rest in every row.
@@ -235,7 +235,7 @@ def _recorded(
     only_plain: bool,
 ) -> CaseRecording:
     """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`."""
-    draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
+    draws = {**LISTED, **UNLISTED}
     names = [] if kind == NONE else kind.split("+")
     if names == [UNKNOWN]:
         names = [str(rng.choice(list(UNLISTED)))]
@@ -243,7 +243,7 @@ def _recorded(
     if strange:
         raise PlantError(
             f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
-            "several of the list joined by +"
+            "several of them joined by +"
         )
     drawn = ideal_arm(nominal)
     done = _schedules(drawn, rng)

@@ -117,7 +117,6 @@ def diagnose(
     [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
     """
     console = Console(stderr=json_output)
-    notes: tuple[str, ...] = ()
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
         verdict, lines = _diagnosed_arm(
@@ -126,7 +125,7 @@ def diagnose(
     else:
         from cablesense_gap.report.next_step import Given, robot_next_step
         from cablesense_gap.report.page import write_robot_diagnosis
-        from cablesense_gap.report.text import headline
+        from cablesense_gap.report.text import earlier_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_recording
         from cablesense_gap.robot.system import diagnose as make
@@ -141,6 +140,10 @@ def diagnose(
         with diagnosis_progress(console) as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
+            of_reference = () if healthy is None else healthy.notes
+            notes = (*recorded.notes, *(f"Reference: {note}" for note in of_reference))
+            for note in notes:  # before the minutes that a fit may take
+                console.print(note, soft_wrap=True, markup=False, highlight=False)
             diagnosis = make(
                 recorded,
                 robot,
@@ -158,14 +161,11 @@ def diagnose(
         given = Given(str(recording), str(model), str(out), external=positions == "external")
         write_robot_diagnosis(out, diagnosis, given)
         verdict = diagnosis.verdict
-        of_reference = () if healthy is None else healthy.notes
-        reference_notes = [f"Reference: {note}" for note in of_reference]
-        notes = (*recorded.notes, *reference_notes)
-        lines = [*diagnosis.findings, *reference_notes, headline(verdict), *verdict.doubts]
+        findings = [text for text in diagnosis.findings if text not in recorded.notes]
+        earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
+        lines = [*findings, headline(verdict), *earlier, *verdict.doubts]
         lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
-        for note in notes:
-            console.print(note, soft_wrap=True, markup=False, highlight=False)
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
     for line in (*lines, f"Report: {out / 'report.html'}"):

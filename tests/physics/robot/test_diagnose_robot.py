@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.robot.amending import changed, load_amended, write_amended
 from cablesense_gap.robot.doubts import starts_at_zero
 from cablesense_gap.robot.inverse import InverseDynamics
@@ -139,6 +140,12 @@ def test_with_the_amended_model_nothing_is_left_to_find(tmp_path, model):
     amended, beside = load_amended(tmp_path)
     second = diagnose(read_recording(path, amended), amended, beside)
     assert second.verdict.effects == ("none",)
+    (stands,) = second.verdict.earlier  # friction is in the MJCF
+    assert (stands.effect, stands.places) == ("torque_scale", ("elbow",))
+    assert stands.outcome in ("stands", "changed")
+    assert "amended model's torque scale at elbow is confirmed" in earlier_sentence(
+        stands, of_robot=True
+    )
     assert second.verdict.gap.before_n < 1.1 * first.verdict.gap.after_n
     write_amended(tmp_path, amended, second.amended, beside)
     again = load_amended(tmp_path)[1][Term("torque_scale", "elbow", "share")]

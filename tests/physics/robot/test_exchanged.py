@@ -84,3 +84,33 @@ def test_a_reversed_torque_is_found_behind_friction_that_dominates_it(robot):
     assert wrong_columns(recording, robot) == []
     reversed_one = replace(recording, torque=recording.torque * LAST)
     assert wrong_columns(reversed_one, robot) == ["torque.elbow looks as if it had the other sign"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"torque": lambda t: 1e3 * t}, "are about 1000 times the model's (mN·m or N·mm given?)"),
+        ({"torque": lambda t: 100.0 * t}, "are about 100 times the model's (N·cm given?)"),
+        (
+            {"position": lambda p: (p - 0.9) % (2.0 * np.pi) + 0.9},
+            "jumps by a whole turn before row",
+        ),
+    ],
+    ids=["millinewton metres", "newton centimetres", "wrapped"],
+)
+def test_other_units_and_wrapped_angles_stop_before_a_fit(robot, change, said):
+    recording = bent(friction=(0.02, 0.02))
+    changed = {name: made(getattr(recording, name)) for name, made in change.items()}
+    with pytest.raises(RecordingError, match="or continue with --force") as stopped:
+        diagnose(replace(recording, **changed), robot)
+    assert said in str(stopped.value)
+
+
+def test_the_unit_of_a_joint_without_torque_in_the_model_is_no_question(robot):
+    """The model has about no torque at a joint that friction alone loads."""
+    recording = bent()
+    system = RobotSystem(robot, prepared(recording, robot), {})
+    weak = system.readings.copy()
+    weak[:, 1] *= 1e-4
+    system.predict = lambda _variants: weak[None]  # the model's elbow has about no torque
+    assert system.doubtful() == []

@@ -14,7 +14,14 @@ from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.text import headline
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import EstimatorErrors, FittedNumber, Share, read_verdict
+from cablesense_gap.verdict import (
+    ChannelGap,
+    EstimatorErrors,
+    FittedNumber,
+    Share,
+    UnlistedBeside,
+    read_verdict,
+)
 from cablesense_sim.arm import load_arm
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import Page, draw_no_pictures
@@ -158,6 +165,54 @@ def test_each_of_several_effects_has_its_own_probability():
     assert payload.startswith("The gap comes from ")
     assert payload.endswith("(> 99 %)")
     assert gain.endswith("(57 %); together they are 57 % sure.")
+
+
+def cable(before, after, unlisted=0.0, effects=()):
+    return ChannelGap(
+        unit="N",
+        before=before,
+        after=after,
+        floor=0.1,
+        removed_fraction=(before - after) / (before - 0.1),
+        effects=effects,
+        unlisted=unlisted,
+    )
+
+
+PART = verdict_of(
+    "payload",
+    0.9,
+    others={"unknown": 0.05},
+    shares={"payload": Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=0.2, probability=0.97)},
+    tolerances_n=0.1,
+    unexplained_n=1.9,
+    unexplained_share=0.6,
+    channels={"cable_1": cable(3.0, 0.1, effects=("payload",)), "cable_2": cable(3.1, 2.1, 0.98)},
+    unlisted=UnlistedBeside(probability=0.95, channels=("cable_2",), before_n=3.1, after_n=2.1),
+)
+
+
+def test_the_certain_part_comes_first_then_the_rest_in_its_unit_and_per_cent():
+    assert headline(PART) == (
+        "Part of the gap comes from mass that nobody modelled (97 %); cable 2 keeps 2.1 N, 67 % "
+        "of its gap, which nothing in the list explains."
+    )
+    many = {f"cable_{n}": cable(1.1, 0.8 + 0.02 * n, 0.9) for n in range(1, 6)}
+    of_many = PART.model_copy(
+        update={
+            "channels": many,
+            "unlisted": UnlistedBeside(probability=0.9, channels=tuple(many)),
+        }
+    )
+    assert "5 of 5 cables keep 72 to 80 % of their gaps" in headline(of_many)
+
+
+def test_the_report_has_a_verdict_by_cable(text_of):
+    text = text_of(PART)
+    assert "The verdict by cable" in text
+    assert "something unlisted acts here (98 %)" in text
+    assert "Something that no known effect explains acts as well (95 % sure)" in text
+    assert "the gap goes from 3.10 N to 2.10 N." in text
 
 
 @pytest.mark.parametrize(

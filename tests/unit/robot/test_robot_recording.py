@@ -77,6 +77,15 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, table, robot, chan
     assert "\n" not in str(refused.value)
 
 
+def test_with_force_a_drum_may_turn_far(tmp_path, table, robot):
+    table = table.assign(**{"position.elbow": 60.0 * table["position.elbow"]})
+    table.to_csv(tmp_path / "drum.csv", index=False)
+    with pytest.raises(RecordingError, match="continue with --force"):
+        read_recording(tmp_path / "drum.csv", robot)
+    recording = read_recording(tmp_path / "drum.csv", robot, force=True)
+    assert any("degrees given?" in note for note in recording.notes)
+
+
 def test_without_torques_and_commands_nothing_can_be_compared(tmp_path, table, robot):
     recording = read(tmp_path, table.drop(columns=["torque.shoulder", "torque.elbow"]), robot)
     with pytest.raises(RecordingError, match="has neither torque"):
@@ -223,6 +232,8 @@ def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
     }
     write_amended(tmp_path, robot, named_values, {})
     amended, beside = load_amended(tmp_path)
+    written = (tmp_path / "amended_model.xml").read_text()
+    assert " simple=" not in written  # MuJoCo 3.2 knows no such attribute
     assert amended.nominal().mass_kg == pytest.approx([2.5])
     assert amended.nominal().friction == pytest.approx([0.3])
     assert beside == {Term("torque_scale", "turn", "share"): 0.1}

@@ -1,0 +1,57 @@
+"""The verdict in each channel: what is removed of its gap, by which effects, and what stays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.probability import ProbabilityCalibration, probability_unlisted
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.explained import NEGLIGIBLE
+from cablesense_gap.verdict import ChannelGap, removed_fraction
+
+
+def judged_channels(
+    problem: Problem,
+    explained: Hypothesis,
+    gaps: Mapping[str, ChannelGap],
+    calibration: ProbabilityCalibration,
+) -> dict[str, ChannelGap]:
+    """The gaps of the channels, in their order, with what removes them and what stays."""
+    used = problem.used
+    before = _rms_by_channel((problem.readings - problem.nominal)[used])
+    after = _rms_by_channel((problem.readings - explained.held_out)[used])
+    changes = {
+        effect: _rms_by_channel(_change_by(problem, explained, effect)[used])
+        for effect in explained.effects
+    }
+    judged = {}
+    for c, (name, gap) in enumerate(gaps.items()):
+        least = max(NEGLIGIBLE * before[c], problem.floor)
+        effects = [effect for effect, change in changes.items() if change[c] >= least]
+        effects.sort(key=lambda effect: -changes[effect][c])
+        judged[name] = gap.model_copy(
+            update={
+                "removed_fraction": removed_fraction(gap.before, gap.after, gap.floor),
+                "effects": tuple(effects),
+                "unlisted": probability_unlisted(float(after[c]), problem.floor, calibration),
+            }
+        )
+    return judged
+
+
+def acting_channels(channels: Mapping[str, ChannelGap]) -> tuple[str, ...]:
+    """Channels in which something unlisted acts besides, more probably than not."""
+    return tuple(name for name, gap in channels.items() if (gap.unlisted or 0.0) > 0.5)
+
+
+def _change_by(problem: Problem, explained: Hypothesis, effect: str) -> Array:
+    """(R, C) by which predictions change without an effect, all else as fitted."""
+    others = {term: value for term, value in explained.values.items() if term.effect != effect}
+    return np.asarray(explained.without_nuisance - problem.predict([others])[0])
+
+
+def _rms_by_channel(values: Array) -> Array:
+    return np.asarray(np.sqrt((values**2).mean(0)))
