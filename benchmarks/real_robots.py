@@ -53,7 +53,7 @@ _JAW_COLUMNS = {
     "torque.drive": ("drive_torque_nm", -1.0),  # in the direction of its motion
     "torque.jaw": ("jaw_torque_nm", 1.0),
 }
-DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
+_DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
 _PENDULUM_COLUMNS = {
     f"{what}_{joint}_{unit}": f"{what}.joint_{joint}"
     for what, unit in (("position", "rad"), ("torque", "nm"))
@@ -67,11 +67,11 @@ def main() -> None:
     parser.add_argument("what", choices=("jaw", "pendulums"), help="of whom the recordings are")
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
     options = parser.parse_args()
+    index = pd.read_csv(options.data / "index.csv")
     if options.what == "jaw":
-        index = pd.read_csv(options.data / "index.csv")
         harness.publish("robot_jaw.json", _jaws(options.data, index), options, "mujoco")
     else:
-        designs = {each: _pendulum(each, options.data) for each in DESIGNS}
+        designs = {each: _pendulum(each, options.data, index) for each in _DESIGNS}
         harness.publish("real_double_pendulum.json", {"designs": designs}, options, "mujoco")
 
 
@@ -107,24 +107,17 @@ def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
     return figures
 
 
-def pendulum_runs(design: str, data: Path) -> tuple[Robot, RobotRecording, RobotRecording]:
-    """The model of a design, every other run of it, and those between."""
-    robot = load_robot(MODELS / f"double_pendulum_{DESIGNS[design]}.xml")
-    index = pd.read_csv(data / "index.csv")
+def _pendulum(design: str, data: Path, index: pd.DataFrame) -> dict[str, Any]:
+    """Every other run of a design is diagnosed, those between are judged."""
+    robot = load_robot(MODELS / f"double_pendulum_{_DESIGNS[design]}.xml")
     runs = [
         pd.read_csv(data / f"{run}.csv.gz", usecols=["time_s", *_PENDULUM_COLUMNS])
         for run in index[index.design == design].recording
     ]
     tables = [run.rename(columns=_PENDULUM_COLUMNS) for run in runs]
-    return robot, _recording(tables[::2], robot), _recording(tables[1::2], robot)
-
-
-def _pendulum(design: str, data: Path) -> dict[str, Any]:
-    """Every other run of a design is diagnosed, those between are judged."""
-    robot, fitted, judged = pendulum_runs(design, data)
-    diagnosis = diagnose(fitted, robot, zeroed=True)
+    diagnosis = diagnose(_recording(tables[::2], robot), robot, zeroed=True)
     compared_hz = diagnosis.system.motion.compared_hz
-    motion = prepared(judged, robot, compared_hz, zeroed=True)
+    motion = prepared(_recording(tables[1::2], robot), robot, compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)
     return {
         **_stated(diagnosis.verdict),
