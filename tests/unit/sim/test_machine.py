@@ -151,6 +151,7 @@ def test_an_attached_file_is_part_of_the_identity(tmp_path: Path) -> None:
     model = MODEL.replace(
         "<worldbody>", '<asset><model name="part" file="part.xml"/></asset><worldbody>'
     )
+    model += '<!-- <include file="of_old.xml"/> -->'
     path = opened(tmp_path, model=model)
     before = read_machine_file(path).identity
     (tmp_path / "part.xml").write_text(part.replace('"part"', '"other"'))
