@@ -254,7 +254,8 @@ def _tendons(model: mujoco.MjModel, source: OpenedMachine, pose: Array) -> Tendo
             "sensor under sensors.tension.of, or list it under cables.unread if it is a spring"
         )
     ids = np.array([there.index(name) for name in wanted], dtype=np.int64)
-    if file.reference is None and file.cables.pretension_n is None and (drawn[ids] >= 0).any():
+    is_held = file.joints != "measured" and (drawn[ids] >= 0).any()
+    if is_held and file.reference is None and file.cables.pretension_n is None:
         raise MachineError(
             f"{source.path}: what actuators pull the tendons with at rest is not known; state "
             "cables.pretension_n, or name a keyframe with their controls as reference"

@@ -140,6 +140,11 @@ def test_a_model_that_statics_do_not_know_is_refused(
     assert said in refusal(opened(tmp_path, model=model))
 
 
+def test_a_machine_with_measured_joints_needs_no_pretension(tmp_path: Path) -> None:
+    file = FILE.replace("pretension_n: 20, ", "").replace("commanded", "measured")
+    assert open_machine(opened(tmp_path, file=file)).is_measured
+
+
 def test_a_model_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = opened(tmp_path, file=FILE.replace("machine.xml", "other.xml"))
     assert "other.xml" in refusal(path)
