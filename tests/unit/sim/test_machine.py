@@ -135,7 +135,9 @@ def test_a_model_that_statics_do_not_know_is_refused(
     assert was in MODEL
     model = MODEL.replace(was, now)
     if "free" in now or "ball" in now:
-        model = model.replace('<equality><joint joint1="following" joint2="hinge"/></equality>', "")
+        model = model.replace(
+            '<equality><joint joint1="following" joint2="hinge"/></equality>', ""
+        )
         model = model[: model.index("<keyframe>")] + "</mujoco>"
     assert said in refusal(opened(tmp_path, model=model))
 
