@@ -23,6 +23,7 @@ from cablesense_base.plain_yaml import FilePart, Number, read_plain
 MAX_FILE_BYTES = 200_000
 """A machine file is a page or two of text."""
 _MAX_MODEL_BYTES = 50_000_000
+_COMMENTS = re.compile(rb"<!--.*?-->", re.DOTALL)
 _TAKEN_IN = re.compile(rb"<(?:include|model)\b[^>]*?\bfile\s*=\s*[\"']([^\"']+\.xml)[\"']")
 """Files that an MJCF includes, or attaches parts of; paths count from the folder of the first."""
 
@@ -266,7 +267,8 @@ def _model_content(path: Path) -> bytes:
         if part in read:
             continue
         read[part] = read_bounded_bytes(part, _MAX_MODEL_BYTES, "an MJCF or a URDF", MachineError)
-        pending += [path.parent / name.decode() for name in _TAKEN_IN.findall(read[part])]
+        text = _COMMENTS.sub(b"", read[part])
+        pending += [path.parent / name.decode() for name in _TAKEN_IN.findall(text)]
     return b"".join(read.values())
 
 

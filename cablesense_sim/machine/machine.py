@@ -39,7 +39,7 @@ class Tendons:
         stiffness_n_m: (K,) of each with what draws it.
         pretension_n: (K,) at the reference pose.
         drawn_by: (K,) number of the actuator on the tendon, -1 where there is none.
-        gear: (K,) of these.
+        gear: (K,) by which a length makes the control of these that just leaves it slack.
     """
 
     names: tuple[str, ...]
@@ -254,7 +254,8 @@ def _tendons(model: mujoco.MjModel, source: OpenedMachine, pose: Array) -> Tendo
             "sensor under sensors.tension.of, or list it under cables.unread if it is a spring"
         )
     ids = np.array([there.index(name) for name in wanted], dtype=np.int64)
-    if file.reference is None and file.cables.pretension_n is None and (drawn[ids] >= 0).any():
+    is_held = file.joints != "measured" and (drawn[ids] >= 0).any()
+    if is_held and file.reference is None and file.cables.pretension_n is None:
         raise MachineError(
             f"{source.path}: what actuators pull the tendons with at rest is not known; state "
             "cables.pretension_n, or name a keyframe with their controls as reference"
@@ -269,8 +270,18 @@ def _tendons(model: mujoco.MjModel, source: OpenedMachine, pose: Array) -> Tendo
             "tension does not follow from commands; state cables.stiffness_n_m, or joints: "
             "measured"
         )
-    gear = np.array([model.actuator_gear[a, 0] if a >= 0 else 1.0 for a in drawn[ids]])
+    gear = np.array([_control_per_length(model, int(a)) for a in drawn[ids]])
     return Tendons(tuple(wanted), ids, stiffness, pretension, drawn[ids], gear)
+
+
+def _control_per_length(model: mujoco.MjModel, actuator: int) -> float:
+    """Of a servo with the force gain u - kp g l, which is none at u = (kp / gain) g l."""
+    if actuator < 0:
+        return 1.0
+    gain = float(model.actuator_gainprm[actuator, 0])
+    servo = -float(model.actuator_biasprm[actuator, 1])
+    gear = float(model.actuator_gear[actuator, 0])
+    return gear * servo / gain if gain > 0.0 and servo > 0.0 else gear
 
 
 def _drawn_by(model: mujoco.MjModel) -> Indices:

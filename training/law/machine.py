@@ -29,7 +29,7 @@ def machine_statement(machine: Machine) -> ContactStatement:
     # one link begins where the one before it ends
     ends_m = np.cumsum(span_m)
     joint_m = ends_m - links.touched_m[:, 1]
-    return ContactStatement(touched, length_m, joint_m, _torque_scale(machine))
+    return ContactStatement(touched, length_m, joint_m, _torque_scale(machine), partly_felt=True)
 
 
 def _torque_scale(machine: Machine) -> Array:

@@ -67,12 +67,21 @@ class ContactStatement(nn.Module):
         length_m: (N,) of the links.
         joint_m: (N,) where their frames are along all links.
         torque_scale: (T,) prior deviation of contact torques at the joints, each by itself.
+        partly_felt: whether there may be links on which forces in some direction across them make
+            no torque, so that a magnitude is known no better than as that direction allows.
     """
 
     def __init__(
-        self, touched: TouchedPlaces, length_m: Matrix, joint_m: Matrix, torque_scale: Matrix
+        self,
+        touched: TouchedPlaces,
+        length_m: Matrix,
+        joint_m: Matrix,
+        torque_scale: Matrix,
+        *,
+        partly_felt: bool = False,
     ) -> None:
         super().__init__()
+        self.partly_felt = partly_felt
         self.wrench = WrenchFit(length_m)
         self.contact = PosteriorOfContact(touched)
         self.rivals = RivalHypotheses(torque_scale)
@@ -117,9 +126,11 @@ class ContactStatement(nn.Module):
         means = values @ weight.transpose(1, 2)
         offsets = values - means
         moment_variance = within.index_select(1, self.lateral_variances) * square_m2
-        within = torch.cat([within, moment_variance], dim=1) @ weight.transpose(1, 2)
-        within = (within.transpose(1, 2) @ self.to_covariance).reshape(-1, 6, 6)
-        spread = (offsets * weight) @ offsets.transpose(1, 2) + within
+        mean_within = torch.cat([within, moment_variance], dim=1) @ weight.transpose(1, 2)
+        mean_within = (mean_within.transpose(1, 2) @ self.to_covariance).reshape(-1, 6, 6)
+        spread = (offsets * weight) @ offsets.transpose(1, 2) + mean_within
+        if self.partly_felt:
+            squared, variance = _with_aside(squared, variance, within, self.lateral_variances)
         place, force, around = means[:, :, 0].split((1, 3, 2), dim=1)
         moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
         return Statement(
@@ -176,6 +187,22 @@ class ContactStatement(nn.Module):
         return interval, _quantiles(
             along.flatten(1)[:, None], along_cdf.flatten(1)[:, None], self.ends
         )
+
+
+def _with_aside(
+    squared_n2: Tensor, variance_n2: Tensor, within: Tensor, lateral: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Square and variance (B, 1, K) of magnitudes, with what is unknown beside the mean force.
+
+    A force of mean m along itself, with variances v along and p beside m, has E f² = m² + v + p
+    and var f² = 4 m² v + 2 v² + 2 p². A normal magnitude with these two has
+
+        μ⁴ = (E f²)² - var f² / 2 = m⁴ + 2 p (m² + v),   σ² = E f² - μ².
+    """
+    aside = within.index_select(1, lateral).sum(1, keepdim=True) - variance_n2
+    aside = aside.clamp(min=0.0)
+    square = torch.sqrt(squared_n2**2 + 2.0 * aside * (squared_n2 + variance_n2))
+    return square, squared_n2 + variance_n2 + aside - square
 
 
 def _moments(weight: Tensor, value: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""An arm by its arm file, and by the MJCF that CableSense writes, gives the same estimates."""
+"""An arm gives the same estimates by its arm file and by the MJCF that CableSense writes of it."""
 
 from pathlib import Path
 

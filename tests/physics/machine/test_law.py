@@ -1,5 +1,7 @@
 """What the law states of contacts on built machines: right links, and intervals that hold."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 from cablesense_training.law.machine import TorchStater
-from tests.helpers.example_machines import bent_command, example_machine
+from tests.helpers.example_machines import bent_command, example_machine, written_machine
 
 CONTACTS = 60
 
@@ -139,3 +141,58 @@ def test_a_touch_before_the_near_station_leaves_place_and_force_open() -> None:
     assert low_m <= 0.015 + 0.005 <= high_m
     assert low_n <= 1.0 <= high_n
     assert high_n - low_n > 0.3
+
+
+PLANAR_MODEL = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <site name="left_base" pos="-0.05 0 0.02"/>
+    <site name="right_base" pos="-0.05 0 -0.02"/>
+    <body name="lever">
+      <joint name="hinge" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.01" contype="0" conaffinity="0"/>
+      <site name="left_end" pos="0.1 0 0.02"/>
+      <site name="right_end" pos="0.1 0 -0.02"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="left"><site site="left_base"/><site site="left_end"/></spatial>
+    <spatial name="right"><site site="right_base"/><site site="right_end"/></spatial>
+  </tendon>
+  <actuator>
+    <position name="left_drive" tendon="left" kp="1e5"/>
+    <position name="right_drive" tendon="right" kp="1e5"/>
+  </actuator>
+</mujoco>
+"""
+PLANAR_FILE = """
+joints: commanded
+sensors:
+  tension: {of: [left, right], noise_std: 0.05}
+cables: {pretension_n: 100}
+touch:
+  largest_n: 20
+  links:
+    - {link: lever, start_m: [0.299, 0, 0], end_m: [0.301, 0, 0]}
+"""
+
+
+def test_two_tendons_tell_the_force_in_their_plane_where_the_place_is_known(
+    tmp_path: Path,
+) -> None:
+    """What acts along the hinge is not felt, so the whole magnitude stays open."""
+    machine = written_machine(tmp_path, PLANAR_MODEL, PLANAR_FILE)
+    trial = Trial(machine, seed=15, scale=1e-3)
+    command = np.zeros(1)
+    built = trial.machine_as_built()
+    contact = LinkForce(0, np.array([0.3, 0.0, 0.0]), np.array([0.0, 7.0, 4.0]))
+    rest = built.touched(command, (contact,), built.untouched(command))
+    seen = trial.stated(rest.values[None], command[None])
+    std_n = np.sqrt(np.diagonal(seen.contact_covariance[0]))[1:]
+    assert seen.force_n[0, 2] == pytest.approx(4.0, abs=0.1)
+    assert std_n[2] < 0.1
+    assert std_n[1] > 5.0
+    low_n, high_n = seen.magnitude_ci95_n[0]
+    assert low_n < np.hypot(7.0, 4.0) < high_n
+    assert high_n > 10.0

@@ -169,7 +169,7 @@ touch:
 
 
 def lever(folder: Path, *, antagonist: bool) -> Machine:
-    """A level lever on a pulley: a tendon bears its weight, or two pull against each other."""
+    """A lever on a pulley, whose weight one tendon bears, or that two pull against each other."""
     model = LEVER_MODEL.format(
         gravity=0.0 if antagonist else -9.81,
         radius=PULLEY_M,

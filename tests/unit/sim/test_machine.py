@@ -142,6 +142,20 @@ def test_a_model_that_statics_do_not_know_is_refused(
     assert said in refusal(opened(tmp_path, model=model))
 
 
+def test_controls_of_a_servo_with_its_own_scale_are_taken_as_such(tmp_path: Path) -> None:
+    """Of a servo with 50 u - 1e4 g l, a length l just leaves the tendon slack at u = 200 g l."""
+    servo = '<general name="drive" tendon="cable" gear="2" gainprm="50" biastype="affine" biasprm="0 -1e4"/>'
+    model = MODEL.replace('<position name="drive" tendon="cable" kp="1e4"/>', servo)
+    machine = open_machine(opened(tmp_path, model=model))
+    assert machine.tendons.gear.tolist() == [400.0, 1.0]
+    assert machine.tendons.stiffness_n_m.tolist() == [4e4, 100.0]
+
+
+def test_a_machine_with_measured_joints_needs_no_pretension(tmp_path: Path) -> None:
+    file = FILE.replace("pretension_n: 20, ", "").replace("commanded", "measured")
+    assert open_machine(opened(tmp_path, file=file)).is_measured
+
+
 def test_a_model_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = opened(tmp_path, file=FILE.replace("machine.xml", "other.xml"))
     assert "other.xml" in refusal(path)
@@ -153,6 +167,7 @@ def test_an_attached_file_is_part_of_the_identity(tmp_path: Path) -> None:
     model = MODEL.replace(
         "<worldbody>", '<asset><model name="part" file="part.xml"/></asset><worldbody>'
     )
+    model += '<!-- <include file="of_old.xml"/> -->'
     path = opened(tmp_path, model=model)
     before = read_machine_file(path).identity
     (tmp_path / "part.xml").write_text(part.replace('"part"', '"other"'))
