@@ -9,6 +9,7 @@ import threading
 import time
 from functools import partial
 
+import numpy as np
 import viser
 
 from cablesense_online.page.guard import free_port, guarded_server
@@ -26,6 +27,12 @@ _NOTE_S = 5.0
 """How long a notification is shown."""
 _OTHER_SHAPE = 0.1
 """A window whose ratio of width and height changes by more than this share has another shape."""
+
+
+_WIDE = 1.6
+"""Width over height of a window whose height alone bounds the view."""
+_SAME_VIEW = 1e-3
+"""Two cameras closer than this share of the arm's length are at one place."""
 
 
 class Page:
@@ -61,8 +68,11 @@ class Page:
         end_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
         arrows = Arrows(float(end_m), self._force_limit_n)
         self._scene = ArmScene(server.scene, mechanism, arrows, self._touch if actions else None)
+        self._arm_length_m = arrows.reach_m
+        # where "Reset View" of the viewer's menu leads
+        server.initial_camera.position, server.initial_camera.look_at = view(arrows.reach_m, _WIDE)
         self._lay_out()
-        server.on_client_connect(partial(self._follow_view, arrows.reach_m))
+        server.on_client_connect(self._follow_view)
         if actions is not None:
             server.on_client_connect(self._assign_controls)
             server.on_client_disconnect(self._assign_controls)
@@ -78,6 +88,13 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(270)
         self._summary = gui.add_html("")
+        home = gui.add_button(
+            "Home view",
+            icon=viser.Icon.FOCUS_CENTERED,
+            color="gray",
+            hint="shows the whole arm again",
+        )
+        home.on_click(self._go_to_home_view)
         dock = gui.add_panel()
         with dock.add_tab("Estimate", viser.Icon.TARGET_ARROW):
             self._estimate = gui.add_html("")
@@ -92,23 +109,40 @@ class Page:
         dock.set_width(390)
         dock.expand()
 
-    def _follow_view(self, reach_m: float, client: viser.ClientHandle) -> None:
-        """Shows the whole arm in a window of any shape, and again where the shape changes."""
+    def _follow_view(self, client: viser.ClientHandle) -> None:
+        """Shows the whole arm in a window of any shape.
+
+        Again where the shape changes, and where the viewer's own reset has led to the view of a
+        wide window.
+        """
         camera = client.camera
+        wide_m, _ = view(self._arm_length_m, _WIDE)
         fitted = 0.0
 
         def fit(_: viser.CameraHandle) -> None:
             nonlocal fitted
-            if abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted:
+            same_shape = abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted
+            home_m, _ = view(self._arm_length_m, camera.aspect)
+            off_m = np.abs(camera.position - wide_m).max()
+            was_reset = off_m < _SAME_VIEW * self._arm_length_m
+            if same_shape and (not was_reset or np.allclose(home_m, wide_m)):
                 return
             fitted = camera.aspect
-            with client.atomic():
-                camera.near = 0.02 * reach_m
-                camera.fov = VIEW_ANGLE_RAD
-                camera.position, camera.look_at = view(reach_m, fitted)
+            self._show_whole_arm(client)
 
         fit(camera)
         camera.on_update(fit)
+
+    def _show_whole_arm(self, client: viser.ClientHandle) -> None:
+        camera = client.camera
+        with client.atomic():
+            camera.near = 0.02 * self._arm_length_m
+            camera.fov = VIEW_ANGLE_RAD
+            camera.position, camera.look_at = view(self._arm_length_m, camera.aspect)
+
+    def _go_to_home_view(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        if event.client is not None:
+            self._show_whole_arm(event.client)
 
     def _assign_controls(self, _: object) -> None:
         """Gives the controls to who has been there longest, and shows everyone who that is.

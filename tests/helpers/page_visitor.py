@@ -42,11 +42,18 @@ class Visitor:
         )
         self.controls = {}
         self.texts = {}
+        self.camera_m = None
+        self.reset_camera_m = None
         self.acknowledged = 0
         self.send(LOOK)
 
     def send(self, message):
         self.socket.send(msgspec.msgpack.encode(message))
+
+    def look_from(self, *position_m, **changed):
+        """The browser's camera is elsewhere."""
+        self.camera_m = None
+        self.send({**LOOK, "position": position_m, **changed})
 
     def put(self, label, value):
         uuid = self.controls[label]
@@ -68,6 +75,11 @@ class Visitor:
         new = message.get("props", message.get("updates", {}))
         if "content" in new:
             self.texts[message["uuid"]] = new["content"]
+        if message["type"] == "SetCameraPositionMessage":
+            if message["initial"]:
+                self.reset_camera_m = message["position"]
+            else:
+                self.camera_m = message["position"]
         if message["type"].startswith("Gui") and "label" in message.get("props", {}):
             self.controls[new["label"]] = message["uuid"]
         self.acknowledged += message["type"] == "FileTransferPartAck"

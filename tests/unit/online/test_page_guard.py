@@ -142,7 +142,8 @@ def test_a_websocket_needs_an_origin_and_the_token_and_so_does_the_page(page):
     assert urlsplit(other.url).path != urlsplit(page.url).path
     visitor = Visitor(other.url)
     until(lambda: other._server.get_clients(), "the visitor")
-    assert set(visitor.read(0.3).controls) == {"Reset the errors"}, "nobody commands"
+    nobody_commands = {"Home view", "Reset the errors"}
+    assert set(visitor.read(0.3).controls) == nobody_commands
     visitor.close()
     other.close()
 
@@ -304,6 +305,30 @@ def test_a_click_on_the_arm_chooses_segment_and_place_for_the_one_who_commands(
     there = FIRST_CONTACT._replace(segment=2, contact_m=0.1)
     end = FIRST_CONTACT._replace(segment=3, contact_m=FARTHEST_M)
     assert asked == [FIRST_PUSH, ("push", there, False), ("push", end, False)]
+
+
+def test_the_home_view_shows_the_whole_arm_from_wherever_a_watcher_has_gone(visit, commander):
+    watcher = visit()
+    until(lambda: watcher.read().camera_m, "the first view")
+    first_m = watcher.camera_m
+    assert watcher.reset_camera_m == pytest.approx(first_m), "Reset View of the viewer's menu"
+    watcher.look_from(30.0, 20.0, 10.0)
+    assert watcher.read(0.3).camera_m is None, "a camera that moves is left alone"
+    commander.read().camera_m = None
+    watcher.put("Home view", True)
+    until(lambda: watcher.read().camera_m, "the home view")
+    assert watcher.camera_m == pytest.approx(first_m)
+    assert commander.read(0.1).camera_m is None
+
+
+def test_a_reset_on_a_phone_shows_the_whole_arm_too(commander):
+    commander.look_from(1.0, 1.0, 1.0, image_width=390, image_height=844)
+    until(lambda: commander.read().camera_m, "the view of another shape")
+    on_phone_m = commander.camera_m
+    commander.look_from(*commander.reset_camera_m, image_width=390, image_height=844)
+    until(lambda: commander.read().camera_m, "the view after a reset")
+    assert commander.camera_m == pytest.approx(on_phone_m)
+    assert np.linalg.norm(on_phone_m) > 1.5 * np.linalg.norm(commander.reset_camera_m)
 
 
 @pytest.mark.parametrize("offset_m", [0.002, 0.010, 0.015, 0.060])
