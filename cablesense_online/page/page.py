@@ -7,13 +7,19 @@ import io
 import secrets
 import threading
 import time
-from functools import partial
 
 import numpy as np
 import viser
 
 from cablesense_online.page.guard import free_port, guarded_server
-from cablesense_online.page.panel import Actions, Controls, ForceTrace, html, tension_trace
+from cablesense_online.page.panel import (
+    Actions,
+    Controls,
+    ForceTrace,
+    cable_lines,
+    html,
+    tension_trace,
+)
 from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, view
 from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
 from cablesense_sim.arm import Arm
@@ -51,6 +57,7 @@ class Page:
         mechanism = self._mechanism
         self._actions = actions
         self._force_limit_n = contact_range_n(arm)
+        self._cable_lines = cable_lines(arm.cable_names, mechanism)
         self._reach_m = touched_places(arm).touched_m
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = guarded_server(host, free_port(host, port), token)
@@ -80,7 +87,6 @@ class Page:
     def _lay_out(self) -> None:
         """The figures on the left, the controls on the right; on a phone all in one sheet."""
         gui = self._server.gui
-        mechanism = self._mechanism
         gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
         )
@@ -103,8 +109,9 @@ class Page:
             reset = gui.add_button("Reset the errors", icon=viser.Icon.REFRESH, color="gray")
             reset.on_click(lambda _: self._reset_errors())
             self._legend = gui.add_html("")
-            self._tensions = tension_trace(gui, mechanism)
-            gui.add_html(html("style") + html("traces", mechanism.segment_count))
+            self._tensions = tension_trace(gui, self._cable_lines)
+            self._cables = gui.add_html("")
+            gui.add_html(html("style"))
         dock.dock_left()
         dock.set_width(390)
         dock.expand()
@@ -209,6 +216,7 @@ class Page:
         segment_count = self._mechanism.segment_count
         self._figures.content = html("figures", probabilities, errors, segment_count)
         self._legend.content = html("legend", scale_n, snapshot.tensions_n)
+        self._cables.content = html("cables", self._cable_lines, snapshot.tensions_n)
         self._forces.draw()
         self._tensions.draw()
 
