@@ -379,6 +379,28 @@ def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_
     wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
 
 
+def test_floor_and_axes_can_be_seen(browser, at_rest):
+    browser.resize(1280, 800)
+    try:
+
+        def below_the_arm():
+            """Pixels (H, W, 3) between the panels."""
+            image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+            return image[500:790, 400:1000].astype(int)
+
+        def axes_px():
+            """How many pixels are red, green and blue."""
+            pixels = below_the_arm()
+            others = np.stack([np.delete(pixels, n, axis=-1).max(axis=-1) for n in range(3)], -1)
+            return (pixels > others + 60).sum(axis=(0, 1))
+
+        eventually(axes_px, lambda count: (count > 20).all(), "an axis cannot be seen")
+        grey = below_the_arm().mean(axis=-1)
+        assert np.percentile(grey, 98) - np.median(grey) > 25.0, "lines of the floor"
+    finally:
+        browser.resize(WIDTH, HEIGHT)
+
+
 def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
     processes["estimator"].signal(signal.SIGSTOP)
     try:
