@@ -24,6 +24,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import replace
 from http import HTTPStatus
+from importlib.resources import files
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
@@ -47,6 +48,7 @@ SILENT_S = 10.0
 _PORT_TRIES = 20
 """Ports that are tried in turn where the first is in use."""
 _TITLE = b"<title>Viser</title>"
+"""What the page's own head takes the place of."""
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 
@@ -127,6 +129,8 @@ def guarded_server(host: str, port: int, token: str) -> viser.ViserServer:
 
 def _checked(answer: Answer | None, host: str, token: str) -> Answer:
     """What answers requests: refuses them, or hands them to viser without the token."""
+    script = files("cablesense_online.page").joinpath("page.js").read_bytes()
+    head = b"<title>CableSense</title><script>" + script + b"</script>"
 
     def checked(connection: ServerConnection, request: Request) -> Response | None:
         given_token, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
@@ -139,12 +143,12 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{why}\n")
         else:
             headers = request.headers.copy()
-            headers.pop("Accept-Encoding", None)  # what is not packed can be given a title
+            headers.pop("Accept-Encoding", None)  # what is not packed can be given a head
             given_on = replace(request, path=f"/{path}", headers=headers)
             response = answer and answer(connection, given_on)
             if response is not None:
                 if _TITLE in response.body:
-                    response.body = response.body.replace(_TITLE, b"<title>CableSense</title>")
+                    response.body = response.body.replace(_TITLE, head)
                     del response.headers["Content-Length"]
                     response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Referrer-Policy"] = "no-referrer"

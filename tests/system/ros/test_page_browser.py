@@ -105,7 +105,7 @@ class Tab:
         assert self.has_button(label), f"no button {label!r}"
         self.evaluate(f"{BUTTON % label}.click()")
 
-    def press(self, slider, key):
+    def press(self, slider, key, held_s=0.0):
         """A key on a slider, found by its label: a busy page leaves some of many out."""
         focused = self.evaluate(
             "(() => { const label = [...document.querySelectorAll('label')]"
@@ -114,8 +114,13 @@ class Tab:
             " if (at) at.querySelector('[role=slider]').focus(); return !!at; })()"
         )
         assert focused, f"no slider {slider!r}"
-        for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+        self.hold(key, held_s)
+
+    def hold(self, key, seconds):
+        """A key, wherever the focus is."""
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key)
+        time.sleep(seconds)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key)
 
     def screenshot(self):
         return base64.b64decode(self.call("Page.captureScreenshot", optimizeForSpeed=True)["data"])
@@ -246,6 +251,7 @@ def at_rest(browser):
     browser.wait_for(f"{STATUS} === 'No contact'", "an arm at rest")
 
 
+SLIDER_VALUE = "document.activeElement.getAttribute('aria-valuenow')"
 CUT_OFF = "[...document.querySelectorAll('.cablesense')].some(e => e.scrollWidth > e.clientWidth)"
 
 
@@ -399,6 +405,28 @@ def test_floor_and_axes_can_be_seen(browser, at_rest):
         assert np.percentile(grey, 98) - np.median(grey) > 25.0, "lines of the floor"
     finally:
         browser.resize(WIDTH, HEIGHT)
+
+
+def test_the_keys_of_a_slider_move_no_camera_and_the_home_view_leads_back(browser, at_rest):
+    still = eventually(lambda: canvas_pixels(browser), drawn, "the canvas stayed empty")
+
+    def moved():
+        """Share of the picture that has changed."""
+        return (np.abs(canvas_pixels(browser) - still).max(axis=-1) > 40).mean()
+
+    set_at = browser.evaluate(SLIDER_VALUE)
+    for _ in range(3):
+        browser.press("angle, °", "ArrowLeft", held_s=0.3)
+    eventually(
+        lambda: browser.evaluate(SLIDER_VALUE), lambda at: at != set_at, "the slider stayed"
+    )
+    time.sleep(2.0)
+    assert moved() < 0.01
+    browser.evaluate("document.activeElement.blur()")
+    browser.hold("ArrowLeft", 0.5)
+    eventually(moved, lambda share: share > 0.05, "the camera's own keys")
+    browser.click_button("Home view")
+    eventually(moved, lambda share: share < 0.01, "the view is not that of the beginning")
 
 
 def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
