@@ -10,3 +10,13 @@ document.addEventListener("DOMContentLoaded", () => {
     }
   });
 });
+
+// One tab is one visitor, also after a reload: its name is the last part of the WebSocket's
+// address, which the viewer takes from the parameter `websocket`.
+const KEY = "cablesense-visitor";
+if (!sessionStorage.getItem(KEY)) {
+  const numbers = crypto.getRandomValues(new Uint32Array(4));
+  sessionStorage.setItem(KEY, Array.from(numbers, (n) => n.toString(36)).join("-"));
+}
+const page = location.origin.replace(/^http/, "ws") + location.pathname.replace(/\/$/, "");
+history.replaceState(null, "", `?websocket=${page}/${sessionStorage.getItem(KEY)}`);

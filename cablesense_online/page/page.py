@@ -7,11 +7,12 @@ import io
 import secrets
 import threading
 import time
+from collections.abc import Mapping
 
 import numpy as np
 import viser
 
-from cablesense_online.page.guard import free_port, guarded_server
+from cablesense_online.page.guard import free_port, guarded_server, present_visitor
 from cablesense_online.page.panel import (
     Actions,
     Controls,
@@ -35,6 +36,8 @@ _OTHER_SHAPE = 0.1
 """A window whose ratio of width and height changes by more than this share has another shape."""
 
 
+_RETURN_S = 10.0
+"""How long the controls wait for a visitor who commanded and has left: a reload takes less."""
 _WIDE = 1.6
 """Width over height of a window whose height alone bounds the view."""
 _SAME_VIEW = 1e-3
@@ -44,7 +47,8 @@ _SAME_VIEW = 1e-3
 class Page:
     """A live view of an arm, served until `close` to those who have its `url`.
 
-    The visitor who has been there longest commands, the others watch.
+    The visitor who has been there longest commands, the others watch. One who commanded and comes
+    back soon, as by a reload, commands again.
 
     The `url` has the token without which a browser is refused.
     """
@@ -69,6 +73,9 @@ class Page:
         self._score = Score()
         self._figures_due_s = 0.0
         self._commander = -1
+        self._commander_name = ""
+        self._kept_until_s = 0.0  # 0 where nobody is awaited
+        self._names: dict[int, str] = {}
         self._controls: Controls | None = None
         self._joints_deg = [0.0] * mechanism.joint_count
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
@@ -81,6 +88,7 @@ class Page:
         self._lay_out()
         server.on_client_connect(self._follow_view)
         if actions is not None:
+            server.on_client_connect(self._note_name)
             server.on_client_connect(self._assign_controls)
             server.on_client_disconnect(self._assign_controls)
 
@@ -151,7 +159,11 @@ class Page:
         if event.client is not None:
             self._show_whole_arm(event.client)
 
-    def _assign_controls(self, _: object) -> None:
+    async def _note_name(self, client: viser.ClientHandle) -> None:
+        """Not in a thread, where the visitor would not be known."""
+        self._names[client.client_id] = present_visitor.get()
+
+    def _assign_controls(self, _: object = None) -> None:
         """Gives the controls to who has been there longest, and shows everyone who that is.
 
         Controls are of one browser alone: what others send finds none.
@@ -163,22 +175,43 @@ class Page:
                 self._visitors[number] = clients[number].gui.add_html("")
             for number in self._visitors.keys() - clients.keys():
                 del self._visitors[number]
+                self._names.pop(number, None)
             if self._commander not in clients and self._controls is not None:
                 self._controls.close()
                 self._controls = None
-            if self._controls is None and clients:
-                self._commander = min(clients)
-                with clients[self._commander].atomic():  # shown once a click is heard
-                    self._controls = Controls(
-                        clients[self._commander].gui,
-                        self._mechanism,
-                        self._actions,
-                        self._joints_deg,
-                        self._force_limit_n,
-                        self._reach_m,
-                    )
+                if self._commander_name:
+                    self._kept_until_s = time.monotonic() + _RETURN_S
+            if self._controls is None:
+                self._choose_commander(clients)
+            kept = self._controls is None
             for number, shown in self._visitors.items():
-                shown.content = html("visitors", number == self._commander, len(clients))
+                commands = number == self._commander
+                shown.content = html("visitors", commands, len(clients), kept)
+
+    def _choose_commander(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        """Gives the controls to who commanded before, and to another once that one stays away."""
+        assert self._actions is not None
+        returned = [
+            number
+            for number in clients
+            if self._commander_name and self._names.get(number) == self._commander_name
+        ]
+        kept = time.monotonic() < self._kept_until_s
+        candidates = returned if returned or kept else list(clients)
+        if not candidates:
+            return
+        self._kept_until_s = 0.0
+        self._commander = min(candidates)
+        self._commander_name = self._names.get(self._commander, "")
+        with clients[self._commander].atomic():  # shown once a click is heard
+            self._controls = Controls(
+                clients[self._commander].gui,
+                self._mechanism,
+                self._actions,
+                self._joints_deg,
+                self._force_limit_n,
+                self._reach_m,
+            )
 
     def _touch(self, client: int, segment: int, place_m: float) -> None:
         """Somebody clicked on the arm; who commands sets where to push by it."""
@@ -199,6 +232,8 @@ class Page:
             self._forces.add(snapshot)
         if not self._server.get_clients():
             return
+        if 0.0 < self._kept_until_s < time.monotonic():
+            self._assign_controls()
         scale_n = full_scale_n(self._tensions.buffer.peak)
         with self._server.atomic():
             self._scene.show(snapshot, scale_n)

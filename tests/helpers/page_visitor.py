@@ -30,10 +30,12 @@ LOOK = {
 class Visitor:
     """What a browser does, without one: a WebSocket whose messages are read and written raw."""
 
-    def __init__(self, address):
+    def __init__(self, address, name=""):
+        """Visitors with a name are known again by it."""
         url = urlsplit(address)
+        path = f"{url.path.rstrip('/')}/{name}".rstrip("/")
         self.socket = connect(
-            f"ws://{url.netloc}{url.path.rstrip('/')}",
+            f"ws://{url.netloc}{path}",
             origin=f"http://{url.netloc}",
             subprotocols=[SUBPROTOCOL],
             compression=None,

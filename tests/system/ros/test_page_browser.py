@@ -439,6 +439,21 @@ def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
     browser.wait_for(f"{STATUS} === 'No contact'", "an estimate again")
 
 
+def test_a_tab_is_the_same_visitor_after_a_reload_and_another_tab_is_not(
+    page_url, browser, at_rest
+):
+    first = browser.evaluate("location.search")
+    assert first.startswith(f"?websocket={page_url.replace('http', 'ws')}")
+    browser.call("Page.reload")
+    browser.wait_for("document.body.innerText.includes('You command the arm')", "the controls")
+    browser.evaluate(WITHOUT_NOTICES)
+    assert browser.evaluate("location.search") == first
+    tab = browser.new_tab(page_url)
+    tab.wait_for("location.search.includes('websocket')", "its visitor")
+    assert tab.evaluate("location.search") != first
+    tab.close()
+
+
 def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser, at_rest):
     browser.click_button("Push")
     wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])

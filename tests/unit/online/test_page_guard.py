@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
-from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Level
 from cablesense_online.page import guard
 from cablesense_online.page.guard import (
     MOST_CLIENTS,
@@ -21,6 +21,7 @@ from cablesense_online.page.guard import (
 )
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, joint_limit_deg
+from cablesense_online.page.snapshot import ShownStatus, Snapshot
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
@@ -37,6 +38,20 @@ SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
 FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
 FIRST_PUSH = ("push", FIRST_CONTACT, False)
 NEAREST_M, FARTHEST_M = touched_places(ARM).touched_m[3]
+
+
+SNAPSHOT = Snapshot(
+    time_s=0.0,
+    joint_angles_rad=np.zeros(8),
+    command_rad=np.zeros(8),
+    tensions_n=None,
+    true=(),
+    state=ForceState.SILENT,
+    estimated=(),
+    bounds=None,
+    probabilities=None,
+    status=ShownStatus(Level.STALE, "silent"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +78,7 @@ def page(served):
     yield served[0]
     until(lambda: not served[0]._server.get_clients(), "everyone to leave")
     until(lambda: served[0]._controls is None, "the arm to be let go")
+    served[0]._kept_until_s = 0.0
 
 
 @pytest.fixture
@@ -75,8 +91,8 @@ def asked(served):
 def visit(page):
     visitors = []
 
-    def come():
-        visitors.append(Visitor(page.url))
+    def come(name=""):
+        visitors.append(Visitor(page.url, name))
         return visitors[-1]
 
     yield come
@@ -261,6 +277,44 @@ def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, comm
     watcher.put("joint 2 yaw, °", 12.0)
     until(lambda: len(asked) == 2, "what the second asked for")
     np.testing.assert_allclose(asked[1][1:], [5.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_who_commanded_commands_again_after_a_reload_and_not_for_long(
+    page, asked, visit, monkeypatch
+):
+    first = visit("first")
+    until(lambda: "Tare" in first.read().controls, "the controls")
+    second = visit("second")
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands")
+    first.put("Push", True)
+    until(lambda: asked == [FIRST_PUSH], "the push")
+    first.close()
+    until(lambda: second.reads("Nobody commands the arm"), "that the first has left")
+    assert asked == [FIRST_PUSH, ("push", NO_CONTACT, False)]
+    returned = visit("first")
+    until(lambda: "Tare" in returned.read().controls, "the controls again")
+    assert returned.reads("You command the arm</b>, one other watches")
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands again")
+    monkeypatch.setattr("cablesense_online.page.page._RETURN_S", 0.3)
+    returned.close()
+    until(lambda: second.reads("Nobody commands the arm"), "that the first has left for good")
+
+    def taken_over():
+        page.show(SNAPSHOT)
+        return "Tare" in second.read().controls
+
+    until(taken_over, "the controls for the next")
+    assert second.reads("You command the arm</b>, nobody else watches")
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "..", "a" * 65, "%2e"])
+def test_a_visitor_without_a_right_name_is_served_and_not_known_again(visit, name):
+    first = visit(name)
+    until(lambda: "Tare" in first.read().controls, "the controls")
+    second = visit(name)
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands")
+    first.close()
+    until(lambda: "Tare" in second.read().controls, "the controls at once")
 
 
 def click(segment, at_m, **changed):
