@@ -322,13 +322,25 @@ class ContactEstimator:
         unloaded = self.contacts.unloaded.taken(state.unloaded, now_ns, forced=forced)
         return replace(state, unloaded=unloaded, tare_problem="")
 
-    def tare_undone(self, state: EstimationState) -> EstimationState:
-        """The state before the last tare.
+    def tare_undone(self, state: EstimationState, now_ns: int) -> EstimationState:
+        """The state before the last tare; without any, one of the latest readings takes its place.
+
+        So a force is known after it as before. `now_ns` is the time since the epoch.
 
         Raises:
-            TareError: there is nothing to undo.
+            TareError: there is nothing to undo, or the last readings are no tare in its place.
         """
-        return replace(state, unloaded=self.contacts.unloaded.undone(state.unloaded))
+        arm = self.contacts.unloaded
+        undone: UnloadedState[Any] = arm.undone(state.unloaded)
+        if state.unloaded.known and not undone.known:
+            try:
+                undone = arm.taken(undone, now_ns)
+            except TareError as problem:
+                raise TareError(
+                    "the tare in force is the only one, and is kept, as without it no force is "
+                    f"known; another in its place was refused: {problem}"
+                ) from None
+        return replace(state, unloaded=undone)
 
     def calibrated(self, state: EstimationState, calibration: Calibration) -> EstimationState:
         """With another calibration.

@@ -153,13 +153,15 @@ class Estimation:
         self.state = self.estimator.tared(self.state, now_ns, forced=forced)
         return self.state.unloaded.tares[-1]
 
-    def undo_tare(self) -> Tare | None:
+    def undo_tare(self, now_ns: int) -> Tare | None:
         """Return to the state before the last tare and give the one then in force, if any.
 
+        The only tare is replaced by one of the latest readings, at `now_ns` since the epoch.
+
         Raises:
-            TareError: there is nothing to undo.
+            TareError: there is nothing to undo, or nothing to replace the only tare.
         """
-        self.state = self.estimator.tare_undone(self.state)
+        self.state = self.estimator.tare_undone(self.state, now_ns)
         tares = self.state.unloaded.tares
         return tares[-1] if tares else None
 

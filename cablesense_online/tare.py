@@ -187,11 +187,21 @@ def unloaded_reading(
 
 
 def tare_undone_line(
-    undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
+    undone: Tare,
+    in_force: Tare | None,
+    cable_names: Sequence[str],
+    undoable: int,
+    *,
+    replaced: bool = False,
 ) -> str:
-    """Log line of an undo: the undone tare, the one in force, and how many `undoable` remain."""
+    """Log line of an undo: the undone tare, the one in force, and how many `undoable` remain.
+
+    `replaced` says that the one in force was taken in place of the undone one.
+    """
     line = f"tare of {utc_text(undone.unloaded.taken_ns)} undone; "
-    if earlier is None:
+    if in_force is None:
         return line + "there is none now"
-    described = earlier.described(cable_names)
+    described = in_force.described(cable_names)
+    if replaced:
+        return f"{line}it was the only one, so another took its place {described}"
     return f"{line}again in force is the one {described}; {undoable} left to undo"

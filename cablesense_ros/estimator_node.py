@@ -176,14 +176,17 @@ class EstimatorNode(ConfiguredNode):
         self._require_active()
         tares = self._estimation.state.unloaded.tares
         undone = tares[-1] if tares else None
-        earlier = self._estimation.undo_tare()
-        undoable = self._estimation.state.unloaded.undoable
+        in_force = self._estimation.undo_tare(self._now_ns())
+        unloaded = self._estimation.state.unloaded
+        replaced = len(unloaded.tares) == len(tares)
         self._outputs.publish_calibration(self._estimation, self._now_ns())
         if undone is None:
             message = "the calibration taken over last is undone"
         else:
             names = self._loaded.machine.channels.names
-            message = tare_undone_line(undone, earlier, names, undoable)
+            message = tare_undone_line(
+                undone, in_force, names, unloaded.undoable, replaced=replaced
+            )
         self.get_logger().info(message)
         return message
 

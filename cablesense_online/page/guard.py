@@ -6,6 +6,7 @@ on this machine would have the controls of the arm. Here a request needs
 - a `Host` that DNS cannot have led here from elsewhere (DNS rebinding), and an `Origin`, which
   browsers always send with a WebSocket, that is the page's own;
 - the page's token as the first part of its path, which viser's client hands on to its WebSocket.
+  There the name of the visitor follows, a random one of each tab, by which a reload is known.
 
 From a browser that passes, viser gets the camera, values of controls, each a finite number or the
 number of a segment as text, and clicks on the arm. Uploads, requests to share the page and other
@@ -19,11 +20,14 @@ import io
 import ipaddress
 import logging
 import math
+import re
 import secrets
 import socket
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import replace
 from http import HTTPStatus
+from importlib.resources import files
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
@@ -46,7 +50,13 @@ SILENT_S = 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
 _PORT_TRIES = 20
 """Ports that are tried in turn where the first is in use."""
+_VISITOR = re.compile(r"[A-Za-z0-9-]{1,64}")
+"""Names of visitors."""
 _TITLE = b"<title>Viser</title>"
+"""What the page's own head takes the place of."""
+
+present_visitor: ContextVar[str] = ContextVar("present_visitor", default="")
+"""While a message of a browser is handled, the name of its visitor; empty where it gave none."""
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 
@@ -108,7 +118,13 @@ def guarded_server(host: str, port: int, token: str) -> viser.ViserServer:
             "ping_interval": PING_EVERY_S,
             "ping_timeout": SILENT_S,
         }
-        return serve(handler, *address, **options | checks)
+
+        async def handle(connection: ServerConnection) -> None:
+            request = connection.request
+            present_visitor.set(_visitor(request.path) if request else "")
+            await handler(connection)
+
+        return serve(handle, *address, **options | checks)
 
     websockets_server.serve = guarded_serve  # type: ignore[assignment,misc]
     try:
@@ -127,9 +143,11 @@ def guarded_server(host: str, port: int, token: str) -> viser.ViserServer:
 
 def _checked(answer: Answer | None, host: str, token: str) -> Answer:
     """What answers requests: refuses them, or hands them to viser without the token."""
+    script = files("cablesense_online.page").joinpath("page.js").read_bytes()
+    head = b"<title>CableSense</title><script>" + script + b"</script>"
 
     def checked(connection: ServerConnection, request: Request) -> Response | None:
-        given_token, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
+        given_token, path = _parts(request.path)
         if not _from_the_page(request.headers, host):
             why = "This Host or Origin is not the page's."
         elif not secrets.compare_digest(given_token.encode("ascii", "replace"), token.encode()):
@@ -139,12 +157,12 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{why}\n")
         else:
             headers = request.headers.copy()
-            headers.pop("Accept-Encoding", None)  # what is not packed can be given a title
+            headers.pop("Accept-Encoding", None)  # what is not packed can be given a head
             given_on = replace(request, path=f"/{path}", headers=headers)
             response = answer and answer(connection, given_on)
             if response is not None:
                 if _TITLE in response.body:
-                    response.body = response.body.replace(_TITLE, b"<title>CableSense</title>")
+                    response.body = response.body.replace(_TITLE, head)
                     del response.headers["Content-Length"]
                     response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Referrer-Policy"] = "no-referrer"
@@ -153,6 +171,18 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
         return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
 
     return checked
+
+
+def _parts(target: str) -> tuple[str, str]:
+    """The first part of a request's path, and the rest."""
+    first, _, rest = target.partition("?")[0].removeprefix("/").partition("/")
+    return first, rest
+
+
+def _visitor(target: str) -> str:
+    """The visitor's name in a WebSocket's path; empty where there is none."""
+    _, name = _parts(target)
+    return name if _VISITOR.fullmatch(name) else ""
 
 
 def _from_the_page(headers: Headers, host: str) -> bool:

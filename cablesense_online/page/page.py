@@ -7,12 +7,20 @@ import io
 import secrets
 import threading
 import time
-from functools import partial
+from collections.abc import Mapping
 
+import numpy as np
 import viser
 
-from cablesense_online.page.guard import free_port, guarded_server
-from cablesense_online.page.panel import Actions, Controls, ForceTrace, html, tension_trace
+from cablesense_online.page.guard import free_port, guarded_server, present_visitor
+from cablesense_online.page.panel import (
+    Actions,
+    Controls,
+    ForceTrace,
+    cable_lines,
+    html,
+    tension_trace,
+)
 from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, view
 from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
 from cablesense_sim.arm import Arm
@@ -28,10 +36,19 @@ _OTHER_SHAPE = 0.1
 """A window whose ratio of width and height changes by more than this share has another shape."""
 
 
+_RETURN_S = 10.0
+"""How long the controls wait for a visitor who commanded and has left: a reload takes less."""
+_WIDE = 1.6
+"""Width over height of a window whose height alone bounds the view."""
+_SAME_VIEW = 1e-3
+"""Two cameras closer than this share of the arm's length are at one place."""
+
+
 class Page:
     """A live view of an arm, served until `close` to those who have its `url`.
 
-    The visitor who has been there longest commands, the others watch.
+    The visitor who has been there longest commands, the others watch. One who commanded and comes
+    back soon, as by a reload, commands again.
 
     The `url` has the token without which a browser is refused.
     """
@@ -44,6 +61,7 @@ class Page:
         mechanism = self._mechanism
         self._actions = actions
         self._force_limit_n = contact_range_n(arm)
+        self._cable_lines = cable_lines(arm.cable_names, mechanism)
         self._reach_m = touched_places(arm).touched_m
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = guarded_server(host, free_port(host, port), token)
@@ -55,22 +73,28 @@ class Page:
         self._score = Score()
         self._figures_due_s = 0.0
         self._commander = -1
+        self._commander_name = ""
+        self._kept_until_s = 0.0  # 0 where nobody is awaited
+        self._names: dict[int, str] = {}
         self._controls: Controls | None = None
         self._joints_deg = [0.0] * mechanism.joint_count
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
         end_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
         arrows = Arrows(float(end_m), self._force_limit_n)
         self._scene = ArmScene(server.scene, mechanism, arrows, self._touch if actions else None)
+        self._arm_length_m = arrows.reach_m
+        # where "Reset View" of the viewer's menu leads
+        server.initial_camera.position, server.initial_camera.look_at = view(arrows.reach_m, _WIDE)
         self._lay_out()
-        server.on_client_connect(partial(self._follow_view, arrows.reach_m))
+        server.on_client_connect(self._follow_view)
         if actions is not None:
+            server.on_client_connect(self._note_name)
             server.on_client_connect(self._assign_controls)
             server.on_client_disconnect(self._assign_controls)
 
     def _lay_out(self) -> None:
         """The figures on the left, the controls on the right; on a phone all in one sheet."""
         gui = self._server.gui
-        mechanism = self._mechanism
         gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
         )
@@ -78,6 +102,13 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(270)
         self._summary = gui.add_html("")
+        home = gui.add_button(
+            "Home view",
+            icon=viser.Icon.FOCUS_CENTERED,
+            color="gray",
+            hint="shows the whole arm again",
+        )
+        home.on_click(self._go_to_home_view)
         dock = gui.add_panel()
         with dock.add_tab("Estimate", viser.Icon.TARGET_ARROW):
             self._estimate = gui.add_html("")
@@ -86,31 +117,53 @@ class Page:
             reset = gui.add_button("Reset the errors", icon=viser.Icon.REFRESH, color="gray")
             reset.on_click(lambda _: self._reset_errors())
             self._legend = gui.add_html("")
-            self._tensions = tension_trace(gui, mechanism)
-            gui.add_html(html("style") + html("traces", mechanism.segment_count))
+            self._tensions = tension_trace(gui, self._cable_lines)
+            self._cables = gui.add_html("")
+            gui.add_html(html("style"))
         dock.dock_left()
         dock.set_width(390)
         dock.expand()
 
-    def _follow_view(self, reach_m: float, client: viser.ClientHandle) -> None:
-        """Shows the whole arm in a window of any shape, and again where the shape changes."""
+    def _follow_view(self, client: viser.ClientHandle) -> None:
+        """Shows the whole arm in a window of any shape.
+
+        Again where the shape changes, and where the viewer's own reset has led to the view of a
+        wide window.
+        """
         camera = client.camera
+        wide_m, _ = view(self._arm_length_m, _WIDE)
         fitted = 0.0
 
         def fit(_: viser.CameraHandle) -> None:
             nonlocal fitted
-            if abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted:
+            same_shape = abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted
+            home_m, _ = view(self._arm_length_m, camera.aspect)
+            off_m = np.abs(camera.position - wide_m).max()
+            was_reset = off_m < _SAME_VIEW * self._arm_length_m
+            if same_shape and (not was_reset or np.allclose(home_m, wide_m)):
                 return
             fitted = camera.aspect
-            with client.atomic():
-                camera.near = 0.02 * reach_m
-                camera.fov = VIEW_ANGLE_RAD
-                camera.position, camera.look_at = view(reach_m, fitted)
+            self._show_whole_arm(client)
 
         fit(camera)
         camera.on_update(fit)
 
-    def _assign_controls(self, _: object) -> None:
+    def _show_whole_arm(self, client: viser.ClientHandle) -> None:
+        camera = client.camera
+        with client.atomic():
+            camera.near = 0.02 * self._arm_length_m
+            camera.fov = VIEW_ANGLE_RAD
+            camera.position, camera.look_at = view(self._arm_length_m, camera.aspect)
+
+    def _go_to_home_view(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        if event.client is not None:
+            self._show_whole_arm(event.client)
+
+    async def _note_name(self, client: viser.ClientHandle) -> None:
+        """Not in a thread, where the visitor would not be known."""
+        self._names[client.client_id] = present_visitor.get()
+
+    def _assign_controls(self, _: object = None) -> None:
         """Gives the controls to who has been there longest, and shows everyone who that is.
 
         Controls are of one browser alone: what others send finds none.
@@ -122,22 +175,43 @@ class Page:
                 self._visitors[number] = clients[number].gui.add_html("")
             for number in self._visitors.keys() - clients.keys():
                 del self._visitors[number]
+                self._names.pop(number, None)
             if self._commander not in clients and self._controls is not None:
                 self._controls.close()
                 self._controls = None
-            if self._controls is None and clients:
-                self._commander = min(clients)
-                with clients[self._commander].atomic():  # shown once a click is heard
-                    self._controls = Controls(
-                        clients[self._commander].gui,
-                        self._mechanism,
-                        self._actions,
-                        self._joints_deg,
-                        self._force_limit_n,
-                        self._reach_m,
-                    )
+                if self._commander_name:
+                    self._kept_until_s = time.monotonic() + _RETURN_S
+            if self._controls is None:
+                self._choose_commander(clients)
+            kept = self._controls is None
             for number, shown in self._visitors.items():
-                shown.content = html("visitors", number == self._commander, len(clients))
+                commands = number == self._commander
+                shown.content = html("visitors", commands, len(clients), kept)
+
+    def _choose_commander(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        """Gives the controls to who commanded before, and to another once that one stays away."""
+        assert self._actions is not None
+        returned = [
+            number
+            for number in clients
+            if self._commander_name and self._names.get(number) == self._commander_name
+        ]
+        kept = time.monotonic() < self._kept_until_s
+        candidates = returned if returned or kept else list(clients)
+        if not candidates:
+            return
+        self._kept_until_s = 0.0
+        self._commander = min(candidates)
+        self._commander_name = self._names.get(self._commander, "")
+        with clients[self._commander].atomic():  # shown once a click is heard
+            self._controls = Controls(
+                clients[self._commander].gui,
+                self._mechanism,
+                self._actions,
+                self._joints_deg,
+                self._force_limit_n,
+                self._reach_m,
+            )
 
     def _touch(self, client: int, segment: int, place_m: float) -> None:
         """Somebody clicked on the arm; who commands sets where to push by it."""
@@ -158,6 +232,8 @@ class Page:
             self._forces.add(snapshot)
         if not self._server.get_clients():
             return
+        if 0.0 < self._kept_until_s < time.monotonic():
+            self._assign_controls()
         scale_n = full_scale_n(self._tensions.buffer.peak)
         with self._server.atomic():
             self._scene.show(snapshot, scale_n)
@@ -175,6 +251,7 @@ class Page:
         segment_count = self._mechanism.segment_count
         self._figures.content = html("figures", probabilities, errors, segment_count)
         self._legend.content = html("legend", scale_n, snapshot.tensions_n)
+        self._cables.content = html("cables", self._cable_lines, snapshot.tensions_n)
         self._forces.draw()
         self._tensions.draw()
 

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
@@ -307,7 +307,8 @@ def html(what: str, *values: Any) -> str:
     return str(getattr(_MACROS, what)(*values)).strip()
 
 
-_DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
+_DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3], [9, 3, 2, 3], [5, 2, 2, 2, 2, 2])
+"""Lines of the cables of a segment, in turn: lengths of strokes and gaps, px; none is solid."""
 _UNKNOWN_N = -3.0
 """Where the chart draws an unknown force: below zero, where no force is."""
 _WINDOW_S = 12.0
@@ -418,15 +419,33 @@ class ForceTrace(Trace):
         self.buffer.add(now.time_s, np.array([*ends, true, estimate]))
 
 
-def tension_trace(gui: viser.GuiApi, mechanism: Mechanism) -> Trace:
-    """Every cable's tension, in the colour of the segment that it ends on."""
-    segments = mechanism.cable_segment.tolist()
+class NamedLine(NamedTuple):
+    """How one cable's tension is drawn, and under which name.
+
+    Attributes:
+        name: of the cable.
+        segment: that it ends on, from 1; it gives the colour.
+        dash: lengths of strokes and gaps, px; empty for a solid line.
+    """
+
+    name: str
+    segment: int
+    dash: list[int]
+
+
+def cable_lines(names: Sequence[str], mechanism: Mechanism) -> list[NamedLine]:
+    """The line of each cable, in the order of the `names` (M)."""
+    lines: list[NamedLine] = []
+    for name, segment in zip(names, mechanism.cable_segment.tolist(), strict=True):
+        of_segment = sum(line.segment == segment for line in lines)
+        lines.append(NamedLine(name, segment, _DASHES[of_segment % len(_DASHES)]))
+    return lines
+
+
+def tension_trace(gui: viser.GuiApi, lines: Sequence[NamedLine]) -> Trace:
+    """Every cable's tension, by its line."""
     series = [
-        {
-            "label": f"cable_{cable + 1}",
-            "stroke": css(segment_rgb(segment)),
-            "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
-        }
-        for cable, segment in enumerate(segments)
+        {"label": line.name, "stroke": css(segment_rgb(line.segment)), "dash": line.dash}
+        for line in lines
     ]
     return Trace(gui, series, "tension, N", 100.0, 210)

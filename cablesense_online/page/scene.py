@@ -44,6 +44,12 @@ _HEAD_RADIUS = 0.018
 """Of an arrow's head, as a share of the arm's length."""
 _HEAD_LENGTH = 0.056
 """Of an arrow's head, as a share of the arm's length."""
+_FLOOR_DEPTH = 0.6
+"""Of the floor below the base, as a share of the arm's length."""
+_AXES_LENGTH = 0.2
+"""Of the base frame's drawn axes, as a share of the arm's length."""
+_AXES_RADIUS = 0.006
+"""Of these axes, as a share of the arm's length."""
 _SQUARES_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Sides that the squares of the ground may have."""
 _BODY_SHARE = 0.34
@@ -225,22 +231,24 @@ class ArmScene:
         self._radius_m = routing_radius_m(mechanism)
         self._clearance_m = 1.1 * _BODY_SHARE * self._radius_m
         square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * reach_m))))
+        floor_m = -_FLOOR_DEPTH * reach_m
         scene.add_grid(
             "/ground",
             width=6.0 * reach_m,
             height=6.0 * reach_m,
             cell_size=square_m,
             section_size=5.0 * square_m,
-            cell_color=(46, 53, 65),
-            section_color=(62, 72, 88),
-            plane_color=(20, 23, 29),
+            cell_color=(70, 79, 95),
+            section_color=(116, 129, 150),
+            plane_color=(38, 43, 52),
             plane_opacity=1.0,
-            fade_distance=5.0 * reach_m,
-            position=(0.5 * reach_m, 0.0, -0.6 * reach_m),
+            fade_distance=8.0 * reach_m,
+            position=(0.5 * reach_m, 0.0, floor_m),
         )
         scale = f"squares of {100.0 * square_m:g} cm"
         scale_at_m = (0.65 * reach_m, -0.55 * reach_m, 0.0)
         self._add_label("/ground/scale", scale, scale_at_m, "center-center")
+        self._add_axes(floor_m)
         self._add_plates("/base", 0)
         self._add_label("/base/label", "base", (0.0, 0.0, 1.5 * self._radius_m), "bottom-center")
         numbers = range(1, mechanism.segment_count + 1)
@@ -335,6 +343,21 @@ class ArmScene:
             turn = Rotation.from_matrix(rotations[n]) * lying
             band.wxyz = turn.as_quat(scalar_first=True)
             band.scale = (1.0, 1.0, max(part.high_m - part.low_m, thinnest_m))
+
+    def _add_axes(self, floor_m: float) -> None:
+        """The axes of the base frame, on the floor below the base, where nothing hides them."""
+        length_m = _AXES_LENGTH * self._arrows.reach_m
+        self._scene.add_frame(
+            "/axes",
+            axes_length=length_m,
+            axes_radius=_AXES_RADIUS * self._arrows.reach_m,
+            position=(0.0, 0.0, floor_m),
+        )
+        for axis, name in enumerate("xyz"):
+            tip_m = np.zeros(3)
+            tip_m[axis] = 1.15 * length_m
+            (x_m, y_m, z_m) = tip_m.tolist()
+            self._add_label(f"/axes/{name}", name, (x_m, y_m, z_m), "center-center")
 
     def _add_segment(self, segment: int) -> viser.FrameHandle:
         name = f"/arm/segment_{segment}"

@@ -153,12 +153,14 @@ def angle_error_deg(a_deg: float, b_deg: float) -> float:
 
 
 class Errors(NamedTuple):
-    """Mean errors over the moments `compared` with an answer; None before the first.
+    """Mean errors over the moments at rest with an answer; None before the first.
 
     Attributes:
-        compared: number of moments.
+        pushed: number of moments in which something pushed.
+        untouched: number of moments in which nothing did.
         unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
-        segment_right: share, 0 … 1, of moments with the right segments, or rightly none.
+        segment_right: share, 0 … 1, of the pushed moments with the right segments.
+        false_contacts: share, 0 … 1, of the untouched moments with a contact.
         place_mae_m: over contacts on the right segment whose place is estimated.
         angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
         magnitude_mae_n: over contacts, true or estimated, but those of which the moment alone is
@@ -166,9 +168,11 @@ class Errors(NamedTuple):
             estimated force.
     """
 
-    compared: int
+    pushed: int
+    untouched: int
     unanswered: float | None
     segment_right: float | None
+    false_contacts: float | None
     place_mae_m: float | None
     angle_mae_deg: float | None
     magnitude_mae_n: float | None
@@ -185,8 +189,10 @@ class Score:
 
     def reset(self) -> None:
         """Discards every comparison."""
-        self._count = 0
+        self._pushed = 0
+        self._untouched = 0
         self._right = 0
+        self._false = 0
         self._unanswered = 0
         # number and sum of errors
         self._aside = np.zeros(2)
@@ -211,7 +217,12 @@ class Score:
         moment = snapshot.moment
         if moment is not None:
             seen.add(moment.segment)
-        self._right += true.keys() == seen
+        if true:
+            self._pushed += 1
+            self._right += true.keys() == seen
+        else:
+            self._untouched += 1
+            self._false += bool(seen)
         if moment is not None and moment.segment in true:  # no place and no force to compare
             angles_deg.append((true.pop(moment.segment).angle_deg, moment.angle_deg))
         missed_n = [true[n].magnitude_n for n in true.keys() - matched]
@@ -221,7 +232,6 @@ class Score:
         turned_deg += [GUESS_DEG] * len(missed_n)
         off_n = [abs(true[n].magnitude_n - estimated[n].magnitude_n) for n in matched]
         off_n += map(max, zip_longest(missed_n, ghosts_n, fillvalue=0.0))
-        self._count += 1
         self._aside += len(aside_m), sum(aside_m)
         self._turned += len(turned_deg), sum(turned_deg)
         self._off += len(off_n), sum(off_n)
@@ -244,10 +254,13 @@ class Score:
         def mean(count: float, total: float) -> float | None:
             return total / count if count else None
 
+        at_rest = self._pushed + self._untouched + self._unanswered
         return Errors(
-            self._count,
-            mean(self._count + self._unanswered, self._unanswered),
-            mean(self._count, self._right),
+            self._pushed,
+            self._untouched,
+            mean(at_rest, self._unanswered),
+            mean(self._pushed, self._right),
+            mean(self._untouched, self._false),
             mean(*self._aside),
             mean(*self._turned),
             mean(*self._off),

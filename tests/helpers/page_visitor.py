@@ -30,10 +30,12 @@ LOOK = {
 class Visitor:
     """What a browser does, without one: a WebSocket whose messages are read and written raw."""
 
-    def __init__(self, address):
+    def __init__(self, address, name=""):
+        """Visitors with a name are known again by it."""
         url = urlsplit(address)
+        path = f"{url.path.rstrip('/')}/{name}".rstrip("/")
         self.socket = connect(
-            f"ws://{url.netloc}{url.path.rstrip('/')}",
+            f"ws://{url.netloc}{path}",
             origin=f"http://{url.netloc}",
             subprotocols=[SUBPROTOCOL],
             compression=None,
@@ -42,11 +44,18 @@ class Visitor:
         )
         self.controls = {}
         self.texts = {}
+        self.camera_m = None
+        self.reset_camera_m = None
         self.acknowledged = 0
         self.send(LOOK)
 
     def send(self, message):
         self.socket.send(msgspec.msgpack.encode(message))
+
+    def look_from(self, *position_m, **changed):
+        """The browser's camera is elsewhere."""
+        self.camera_m = None
+        self.send({**LOOK, "position": position_m, **changed})
 
     def put(self, label, value):
         uuid = self.controls[label]
@@ -68,6 +77,11 @@ class Visitor:
         new = message.get("props", message.get("updates", {}))
         if "content" in new:
             self.texts[message["uuid"]] = new["content"]
+        if message["type"] == "SetCameraPositionMessage":
+            if message["initial"]:
+                self.reset_camera_m = message["position"]
+            else:
+                self.camera_m = message["position"]
         if message["type"].startswith("Gui") and "label" in message.get("props", {}):
             self.controls[new["label"]] = message["uuid"]
         self.acknowledged += message["type"] == "FileTransferPartAck"

@@ -102,7 +102,7 @@ class MadeRun:
                 live.adjust(LOW_THRESHOLD, settings.stale_after_s, settings.slack_below_n)
                 note_calibration(now)
             if i == samples - 20:
-                live.undo_tare()
+                live.undo_tare(now)
                 note_calibration(now)
             tensions = solve_equilibrium(mechanism, angles, force).tensions_n
             message = JointState(

@@ -17,6 +17,7 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_online.tare import TareError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
@@ -171,6 +172,26 @@ def test_a_tare_taken_by_itself_is_dropped_where_the_arm_was_not_as_assumed():
     feed.command(np.zeros(8))
     assert not feed.estimation.command(joint_command(ARM, BENT))
     assert feed.estimation.state.unloaded.known
+
+
+@pytest.mark.parametrize("by_law", [False, True])
+def test_an_undone_tare_never_leaves_the_estimator_without_a_force(law, by_law):
+    feed = Feed(contacts=known(law) if by_law else None).tared()
+    (first,) = feed.estimation.state.unloaded.tares
+    fed(feed, UNLOADED)
+    for _ in range(3):
+        in_force = feed.estimation.undo_tare(feed.now_ns)
+        assert feed.estimation.state.unloaded.tares == (in_force,)
+        assert in_force is not first
+        assert {answer.force for answer in fed(feed, UNLOADED)} == {ForceState.FREE}
+    swinging = UNLOADED + 20.0 * np.eye(12)[4]
+    for _ in range(SETTINGS.tare_samples):
+        fed(feed, swinging, 1)
+        fed(feed, UNLOADED, 1)
+    with pytest.raises(TareError, match=r"the only one, and is kept.* cable_5 varies"):
+        feed.estimation.undo_tare(feed.now_ns)
+    assert feed.estimation.state.unloaded.tares == (in_force,)
+    assert fed(feed, UNLOADED)[-1].force is ForceState.FREE
 
 
 def test_the_same_state_and_sample_give_the_same_answer_whatever_was_asked_between(law):

@@ -124,6 +124,8 @@ def test_tares_are_undone_one_by_one(law):
         arm.undo()
     line = tare_undone_line(first, None, ARM.cable_names, 0)
     assert line.endswith("there is none now")
+    line = tare_undone_line(first, first, ARM.cable_names, 1, replaced=True)
+    assert "it was the only one, so another took its place at " in line
 
 
 def test_a_loaded_calibration_needs_no_tare_and_can_be_replaced(law):

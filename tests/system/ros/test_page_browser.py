@@ -105,7 +105,7 @@ class Tab:
         assert self.has_button(label), f"no button {label!r}"
         self.evaluate(f"{BUTTON % label}.click()")
 
-    def press(self, slider, key):
+    def press(self, slider, key, held_s=0.0):
         """A key on a slider, found by its label: a busy page leaves some of many out."""
         focused = self.evaluate(
             "(() => { const label = [...document.querySelectorAll('label')]"
@@ -114,8 +114,13 @@ class Tab:
             " if (at) at.querySelector('[role=slider]').focus(); return !!at; })()"
         )
         assert focused, f"no slider {slider!r}"
-        for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+        self.hold(key, held_s)
+
+    def hold(self, key, seconds):
+        """A key, wherever the focus is."""
+        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key)
+        time.sleep(seconds)
+        self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key)
 
     def screenshot(self):
         return base64.b64decode(self.call("Page.captureScreenshot", optimizeForSpeed=True)["data"])
@@ -246,6 +251,7 @@ def at_rest(browser):
     browser.wait_for(f"{STATUS} === 'No contact'", "an arm at rest")
 
 
+SLIDER_VALUE = "document.activeElement.getAttribute('aria-valuenow')"
 CUT_OFF = "[...document.querySelectorAll('.cablesense')].some(e => e.scrollWidth > e.clientWidth)"
 
 
@@ -379,6 +385,50 @@ def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_
     wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
 
 
+def test_floor_and_axes_can_be_seen(browser, at_rest):
+    browser.resize(1280, 800)
+    try:
+
+        def below_the_arm():
+            """Pixels (H, W, 3) between the panels."""
+            image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+            return image[500:790, 400:1000].astype(int)
+
+        def axes_px():
+            """How many pixels are red, green and blue."""
+            pixels = below_the_arm()
+            others = np.stack([np.delete(pixels, n, axis=-1).max(axis=-1) for n in range(3)], -1)
+            return (pixels > others + 60).sum(axis=(0, 1))
+
+        eventually(axes_px, lambda count: (count > 20).all(), "an axis cannot be seen")
+        grey = below_the_arm().mean(axis=-1)
+        assert np.percentile(grey, 98) - np.median(grey) > 25.0, "lines of the floor"
+    finally:
+        browser.resize(WIDTH, HEIGHT)
+
+
+def test_the_keys_of_a_slider_move_no_camera_and_the_home_view_leads_back(browser, at_rest):
+    still = eventually(lambda: canvas_pixels(browser), drawn, "the canvas stayed empty")
+
+    def moved():
+        """Share of the picture that has changed."""
+        return (np.abs(canvas_pixels(browser) - still).max(axis=-1) > 40).mean()
+
+    set_at = browser.evaluate(SLIDER_VALUE)
+    for _ in range(3):
+        browser.press("angle, °", "ArrowLeft", held_s=0.3)
+    eventually(
+        lambda: browser.evaluate(SLIDER_VALUE), lambda at: at != set_at, "the slider stayed"
+    )
+    time.sleep(2.0)
+    assert moved() < 0.01
+    browser.evaluate("document.activeElement.blur()")
+    browser.hold("ArrowLeft", 0.5)
+    eventually(moved, lambda share: share > 0.05, "the camera's own keys")
+    browser.click_button("Home view")
+    eventually(moved, lambda share: share < 0.01, "the view is not that of the beginning")
+
+
 def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
     processes["estimator"].signal(signal.SIGSTOP)
     try:
@@ -387,6 +437,21 @@ def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
     finally:
         processes["estimator"].signal(signal.SIGCONT)
     browser.wait_for(f"{STATUS} === 'No contact'", "an estimate again")
+
+
+def test_a_tab_is_the_same_visitor_after_a_reload_and_another_tab_is_not(
+    page_url, browser, at_rest
+):
+    first = browser.evaluate("location.search")
+    assert first.startswith(f"?websocket={page_url.replace('http', 'ws')}")
+    browser.call("Page.reload")
+    browser.wait_for("document.body.innerText.includes('You command the arm')", "the controls")
+    browser.evaluate(WITHOUT_NOTICES)
+    assert browser.evaluate("location.search") == first
+    tab = browser.new_tab(page_url)
+    tab.wait_for("location.search.includes('websocket')", "its visitor")
+    assert tab.evaluate("location.search") != first
+    tab.close()
 
 
 def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser, at_rest):

@@ -1,5 +1,8 @@
 """The drawn arm: cables, arrows, colours and traces agree with mechanism and data."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -8,7 +11,9 @@ from hypothesis.extra.numpy import arrays
 
 from cablesense_online.page.panel import (
     TraceBuffer,
+    cable_lines,
     covered_m,
+    html,
     interval_text,
     known_text,
     places_text,
@@ -92,6 +97,22 @@ def test_an_interval_of_places_may_end_on_another_segment():
     two = [PlaceInterval(2, 0.121, 0.13), PlaceInterval(3, 0.0, 0.014)]
     assert places_text(two) == "121 mm of 2 to 14 mm of 3"
     assert covered_m(two) == pytest.approx(0.023)
+
+
+@pytest.mark.parametrize("per_segment", [3, 5])
+def test_every_cable_has_its_name_its_tension_and_a_line_of_its_own(per_segment):
+    mechanism = mechanism_of(open_arm("cdsm"))
+    segments = np.repeat(np.arange(1, 5), per_segment)
+    mechanism = dataclasses.replace(mechanism, cable_segment=segments)
+    names = [f"cable_{n}" for n in range(1, len(segments) + 1)]
+    lines = cable_lines(names, mechanism)
+    assert [line.name for line in lines] == names
+    assert len({(line.segment, *line.dash) for line in lines}) == len(names)
+    tensions_n = np.linspace(31.0, 80.0, len(names))
+    shown = re.sub(r"<[^>]*>|\s+", " ", html("cables", lines, tensions_n)).split()
+    for name, tension_n in zip(names, tensions_n, strict=True):
+        assert shown[shown.index(name) + 1] == f"{tension_n:.0f}"
+    assert "–" in html("cables", lines, None)
 
 
 def test_traces_keep_the_last_window_thinned_evenly():

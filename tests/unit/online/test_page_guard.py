@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
-from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Level
 from cablesense_online.page import guard
 from cablesense_online.page.guard import (
     MOST_CLIENTS,
@@ -21,6 +21,7 @@ from cablesense_online.page.guard import (
 )
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, joint_limit_deg
+from cablesense_online.page.snapshot import ShownStatus, Snapshot
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
@@ -37,6 +38,20 @@ SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
 FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
 FIRST_PUSH = ("push", FIRST_CONTACT, False)
 NEAREST_M, FARTHEST_M = touched_places(ARM).touched_m[3]
+
+
+SNAPSHOT = Snapshot(
+    time_s=0.0,
+    joint_angles_rad=np.zeros(8),
+    command_rad=np.zeros(8),
+    tensions_n=None,
+    true=(),
+    state=ForceState.SILENT,
+    estimated=(),
+    bounds=None,
+    probabilities=None,
+    status=ShownStatus(Level.STALE, "silent"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +78,7 @@ def page(served):
     yield served[0]
     until(lambda: not served[0]._server.get_clients(), "everyone to leave")
     until(lambda: served[0]._controls is None, "the arm to be let go")
+    served[0]._kept_until_s = 0.0
 
 
 @pytest.fixture
@@ -75,8 +91,8 @@ def asked(served):
 def visit(page):
     visitors = []
 
-    def come():
-        visitors.append(Visitor(page.url))
+    def come(name=""):
+        visitors.append(Visitor(page.url, name))
         return visitors[-1]
 
     yield come
@@ -142,7 +158,8 @@ def test_a_websocket_needs_an_origin_and_the_token_and_so_does_the_page(page):
     assert urlsplit(other.url).path != urlsplit(page.url).path
     visitor = Visitor(other.url)
     until(lambda: other._server.get_clients(), "the visitor")
-    assert set(visitor.read(0.3).controls) == {"Reset the errors"}, "nobody commands"
+    nobody_commands = {"Home view", "Reset the errors"}
+    assert set(visitor.read(0.3).controls) == nobody_commands
     visitor.close()
     other.close()
 
@@ -262,6 +279,44 @@ def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, comm
     np.testing.assert_allclose(asked[1][1:], [5.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0])
 
 
+def test_who_commanded_commands_again_after_a_reload_and_not_for_long(
+    page, asked, visit, monkeypatch
+):
+    first = visit("first")
+    until(lambda: "Tare" in first.read().controls, "the controls")
+    second = visit("second")
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands")
+    first.put("Push", True)
+    until(lambda: asked == [FIRST_PUSH], "the push")
+    first.close()
+    until(lambda: second.reads("Nobody commands the arm"), "that the first has left")
+    assert asked == [FIRST_PUSH, ("push", NO_CONTACT, False)]
+    returned = visit("first")
+    until(lambda: "Tare" in returned.read().controls, "the controls again")
+    assert returned.reads("You command the arm</b>, one other watches")
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands again")
+    monkeypatch.setattr("cablesense_online.page.page._RETURN_S", 0.3)
+    returned.close()
+    until(lambda: second.reads("Nobody commands the arm"), "that the first has left for good")
+
+    def taken_over():
+        page.show(SNAPSHOT)
+        return "Tare" in second.read().controls
+
+    until(taken_over, "the controls for the next")
+    assert second.reads("You command the arm</b>, nobody else watches")
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "..", "a" * 65, "%2e"])
+def test_a_visitor_without_a_right_name_is_served_and_not_known_again(visit, name):
+    first = visit(name)
+    until(lambda: "Tare" in first.read().controls, "the controls")
+    second = visit(name)
+    until(lambda: second.reads("Another visitor commands the arm"), "who commands")
+    first.close()
+    until(lambda: "Tare" in second.read().controls, "the controls at once")
+
+
 def click(segment, at_m, **changed):
     """On a segment of the straight arm, from beside it."""
     mechanism = mechanism_of(ARM)
@@ -304,6 +359,30 @@ def test_a_click_on_the_arm_chooses_segment_and_place_for_the_one_who_commands(
     there = FIRST_CONTACT._replace(segment=2, contact_m=0.1)
     end = FIRST_CONTACT._replace(segment=3, contact_m=FARTHEST_M)
     assert asked == [FIRST_PUSH, ("push", there, False), ("push", end, False)]
+
+
+def test_the_home_view_shows_the_whole_arm_from_wherever_a_watcher_has_gone(visit, commander):
+    watcher = visit()
+    until(lambda: watcher.read().camera_m, "the first view")
+    first_m = watcher.camera_m
+    assert watcher.reset_camera_m == pytest.approx(first_m), "Reset View of the viewer's menu"
+    watcher.look_from(30.0, 20.0, 10.0)
+    assert watcher.read(0.3).camera_m is None, "a camera that moves is left alone"
+    commander.read().camera_m = None
+    watcher.put("Home view", True)
+    until(lambda: watcher.read().camera_m, "the home view")
+    assert watcher.camera_m == pytest.approx(first_m)
+    assert commander.read(0.1).camera_m is None
+
+
+def test_a_reset_on_a_phone_shows_the_whole_arm_too(commander):
+    commander.look_from(1.0, 1.0, 1.0, image_width=390, image_height=844)
+    until(lambda: commander.read().camera_m, "the view of another shape")
+    on_phone_m = commander.camera_m
+    commander.look_from(*commander.reset_camera_m, image_width=390, image_height=844)
+    until(lambda: commander.read().camera_m, "the view after a reset")
+    assert commander.camera_m == pytest.approx(on_phone_m)
+    assert np.linalg.norm(on_phone_m) > 1.5 * np.linalg.norm(commander.reset_camera_m)
 
 
 @pytest.mark.parametrize("offset_m", [0.002, 0.010, 0.015, 0.060])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.messages import Contact, ForceState, Level
+from cablesense_online.page.panel import html
 from cablesense_online.page.snapshot import GUESS_DEG, Score, ShownStatus, Snapshot
 
 
@@ -35,9 +36,25 @@ def test_errors_are_means_over_steady_moments():
     estimate = [contact(angle=4.0, newtons=41.0, place_m=0.083)]
     for time_s in np.arange(0.0, 3.0, 0.1):
         score.add(moment(time_s, true, estimate))
-    assert score.errors == pytest.approx((20, 0.0, 1.0, 0.003, 14.0, 1.0))
+    assert score.errors == pytest.approx((20, 0, 0.0, 1.0, None, 0.003, 14.0, 1.0))
     score.reset()
-    assert score.errors == (0, None, None, None, None, None)
+    assert score.errors == (0, 0, *[None] * 6)
+
+
+def test_right_segments_are_counted_under_pushes_alone_and_false_contacts_without_one():
+    untouched = [moment(0.1 * n, [], []) for n in range(30)]
+    errors = scored(*untouched)
+    assert (errors.pushed, errors.untouched) == (0, 30)
+    assert (errors.segment_right, errors.false_contacts) == (None, 0.0)
+    wrong = moment(4.0, [contact(2)], [contact(3)])
+    right = moment(5.0, [contact(2)], [contact(2)])
+    ghosts = [moment(6.0 + n, [], [contact(1)]) for n in range(10)]
+    errors = scored(*untouched, wrong, right, *ghosts)
+    assert (errors.pushed, errors.untouched) == (2, 40)
+    assert (errors.segment_right, errors.false_contacts) == (0.5, 0.25)
+    shown = html("figures", None, errors, 4)
+    assert "over 2 moments of pushes at rest; untouched, 25.0 % of 40 showed a contact" in shown
+    assert "over 0 moments of pushes" in html("figures", None, scored(), 4)
 
 
 @pytest.mark.parametrize(
@@ -52,18 +69,18 @@ def test_misses_and_wrong_segments_count_with_all_of_their_force(
     true, estimated, angle_deg, force_n
 ):
     wrong = moment(0.0, true, estimated)
-    assert scored(wrong)[2:] == (0.0, None, angle_deg, force_n)
+    assert scored(wrong)[5:] == (None, angle_deg, force_n)
     errors = scored(wrong, moment(0.1, [contact(2)], [contact(2)]))
-    assert (errors.segment_right, errors.magnitude_mae_n) == (0.5, 0.5 * force_n)
+    assert errors.magnitude_mae_n == 0.5 * force_n
 
 
 def test_of_a_known_moment_segment_and_direction_count_and_neither_place_nor_force():
     state = ForceState.MOMENT
     seen = Contact(2, 352.0, moment_n_m=3.2)
     now = dataclasses.replace(moment(0.0, [contact(2)], [], state=state), moment=seen)
-    assert scored(now) == pytest.approx((1, 0.0, 1.0, None, 2.0, None))
+    assert scored(now) == pytest.approx((1, 0, 0.0, 1.0, None, None, 2.0, None))
     elsewhere = dataclasses.replace(now, moment=seen._replace(segment=1))
-    assert scored(elsewhere)[2:] == (0.0, None, GUESS_DEG, 40.0)
+    assert scored(elsewhere)[3:] == (0.0, None, None, GUESS_DEG, 40.0)
 
 
 def test_moments_without_an_answer_are_counted_apart_and_those_in_motion_not_at_all():
@@ -71,4 +88,4 @@ def test_moments_without_an_answer_are_counted_apart_and_those_in_motion_not_at_
     silent = [moment(0.0, [contact()], [], state=state) for state in states]
     assert scored(*silent).segment_right is None
     errors = scored(*silent, moment(0.0, [contact()], [contact()]))
-    assert (errors.unanswered, errors.compared) == (0.75, 1)
+    assert (errors.unanswered, errors.pushed) == (0.75, 1)
