@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.coverage import Coverage
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
     ProbabilityCalibration,
@@ -40,10 +41,11 @@ from cablesense_gap.explained import (
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
-from cablesense_gap.verdict import Verdict
+from cablesense_gap.verdict import CANNOT_TELL, NONE, UNKNOWN, ReferenceGap, Verdict
 
 DOUBTED = 0.5
-"""The largest probability of a verdict that its numbers make doubtful."""
+"""The largest probability of a verdict that its numbers, or a reference that hardly covers the
+recording, make doubtful."""
 _MUCH_UNEXPLAINED = 0.25
 """Share of the gap from which the next experiment is to show most of the unexplained part."""
 
@@ -85,6 +87,39 @@ def _named_that_removes(
         ranked = without(ranked, best)
 
 
+def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
+    """Whether the reference leaves open if something changed.
+
+    A channel of which most is not covered may have changed unseen. Named effects rest on the
+    covered readings: they stand if these make them probable, in more than one trial.
+    """
+    if not coverage.lacking:
+        return False
+    best = ranked[0]
+    if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
+        return True
+    without_effects = next(h for r in ranked if (h := r.hypothesis) and not h.effects)
+    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
+        without_effects
+    )
+
+
+def _changed_where_covered(first: Ranked) -> tuple[str, ...]:
+    if first.effects != (UNKNOWN,):
+        return ()
+    return (
+        "Where the reference covers the recording, something changed that no listed effect "
+        "explains.",
+    )
+
+
+def _reference_gap(reference: Reference, coverage: Coverage | None) -> ReferenceGap:
+    if coverage is None:
+        return reference.left
+    found = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
+    return reference.left.model_copy(update=found)
+
+
 def diagnose_system(
     system: System,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -113,6 +148,12 @@ def diagnose_system(
         problem = problem_since(problem, usual)
         hypotheses = system.completed(problem, search(problem, progress, workers))
     ranked = _named_that_removes(problem, hypotheses, calibration)
+    coverage = usual.coverage
+    cannot_tell = coverage is not None and _cannot_tell(coverage, ranked)
+    changed: tuple[str, ...] = ()
+    if cannot_tell:
+        changed = _changed_where_covered(ranked[0])
+        ranked = sorted(ranked, key=lambda each: each.effects != (NONE,))
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
     used = problem.used
@@ -167,9 +208,17 @@ def diagnose_system(
     if doubts:
         sure = min(ranked[0].probability, DOUBTED)
         ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
+    effects = ranked[0].effects
+    probability = ranked[0].probability
+    if cannot_tell and coverage is not None:
+        effects = (CANNOT_TELL,)
+        group = effects
+        probability = 1.0 - min(channel.share for channel in coverage.by_channel.values())
+        experiment = coverage.experiment
+        reasons = changed
     verdict = Verdict(
-        effects=ranked[0].effects,
-        probability=ranked[0].probability,
+        effects=effects,
+        probability=probability,
         ambiguity_group=group,
         next_experiment=experiment,
         where=system.where(values, measured[0]),
@@ -181,7 +230,7 @@ def diagnose_system(
         unexplained_share=rest.share,
         gap=gap,
         doubts=doubts,
-        reference=None if reference is None else reference.left,
+        reference=None if reference is None else _reference_gap(reference, coverage),
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began_s,

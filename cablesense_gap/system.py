@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.nuisance import with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
 from cablesense_gap.explained import estimates
@@ -111,6 +111,11 @@ class System(ABC):
     def conditions(self) -> Conditions | None:
         """Position, speed and load of each channel, for functions of them; None has none."""
         return None
+
+    def condition_units(self) -> list[ConditionUnits]:
+        """Name and units of each channel."""
+        count = self.readings.shape[1]
+        return [ConditionUnits(f"channel_{c + 1}", "", "", self.unit, "") for c in range(count)]
 
     def compared_columns(self, column: Array) -> Array:
         """A function of the conditions as channels are compared, (R, C)."""

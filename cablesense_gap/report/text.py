@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from cablesense_base.files import write_atomically
+from cablesense_gap.coverage import LEAST_COVERED
 from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
+    CANNOT_TELL,
     NONE,
     UNKNOWN,
     Earlier,
@@ -33,6 +35,8 @@ SURE = 0.9
 """A verdict of at least this probability is stated without `probably`."""
 PROBABLE = 0.5
 """A verdict is called probable above this, and otherwise one of several that are likely."""
+_MOST_CHANNELS = 3
+"""That a headline names."""
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
@@ -54,6 +58,11 @@ def headline(verdict: Verdict) -> str:
             f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
             f"({sure})."
         )
+    if verdict.effects == (CANNOT_TELL,):
+        return (
+            f"Cannot tell whether anything changed{since}, which covers {_lacking(verdict)}: "
+            "record this motion when healthy."
+        )
     if verdict.effects == (UNKNOWN,):
         where = "" if verdict.channels else _at(verdict.where.places)
         return (
@@ -64,6 +73,37 @@ def headline(verdict: Verdict) -> str:
         (name,) = verdict.effects
         return f"{what} {_comes(verdict.probability)} from {cause(verdict, name)} ({sure})."
     return f"{what} {_causes(verdict)}; together they are {sure}."
+
+
+def _lacking(verdict: Verdict) -> str:
+    """`7 % of shoulder and 12 % of elbow`: the channels that are mostly not covered."""
+    assert verdict.reference is not None
+    shares = {name: each.share for name, each in verdict.reference.coverage.items()}
+    channels = [name for name, share in shares.items() if share < LEAST_COVERED]
+    most = percent(max(shares[name] for name in channels))
+    if len(channels) > _MOST_CHANNELS:
+        return f"at most {most} of the readings of {len(channels)} channels"
+    texts = [f"{percent(shares[name])} of {_channel(verdict, name)}" for name in channels]
+    return listed(texts)
+
+
+def _channel(verdict: Verdict, name: str) -> str:
+    """Joints keep their model's names."""
+    return name if verdict.channels else name.replace("_", " ")
+
+
+def coverage_sentence(verdict: Verdict) -> str:
+    """How much of the recording the reference covers; empty where all is, or without one."""
+    reference = verdict.reference
+    if reference is None or reference.covered_share is None or reference.covered_share == 1.0:
+        return ""
+    least = min(reference.coverage, key=lambda name: reference.coverage[name].share)
+    share = reference.coverage[least].share
+    return (
+        f"The reference covers {percent(reference.covered_share)} of the readings by their "
+        f"positions, speeds and loads ({percent(share)} of {_channel(verdict, least)}); the "
+        "verdict is of these alone."
+    )
 
 
 def _comes(probability: float) -> str:
@@ -344,10 +384,11 @@ def _signed(change: float, unit: str) -> str:
 
 def common_content(verdict: Verdict) -> dict[str, Any]:
     """What `layout.html` and the budget show."""
-    alone = verdict.effects[0] in (NONE, UNKNOWN)
+    alone = verdict.effects[0] in (NONE, UNKNOWN, CANNOT_TELL)
     return {
         "kind": verdict.effects[0] if alone else "effect",
         "headline": headline(verdict),
+        "coverage": coverage_sentence(verdict),
         "rivals": rival_names(verdict),
         "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
-from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
@@ -184,6 +184,19 @@ class RobotSystem(System):
     def _conditions(self) -> Conditions:
         return self.comparison.conditions(changed(self.robot, [self.listed]))
 
+    def condition_units(self) -> list[ConditionUnits]:
+        """Of each channel's joint; loads are in the channel's unit where it is no position."""
+        joint_names = [name.rpartition(".")[2] for name in self.comparison.names]
+        joint_indices = [self.robot.joints.index(name) for name in joint_names]
+        loads = self.comparison.units
+        if self.motion.external:
+            loads = tuple(self.robot.torque_units[j] for j in joint_indices)
+        return [
+            ConditionUnits(name, position, f"{position}/s", load, f"{position}/s²")
+            for name, j, load in zip(self.comparison.names, joint_indices, loads, strict=True)
+            for position in (self.robot.position_units[j],)
+        ]
+
     def compared_columns(self, column: Array) -> Array:
         """A function (R, C) of the conditions as the comparison takes it, (Q, C) in floors."""
         return self.comparison.compared(column)
@@ -203,7 +216,7 @@ class RobotSystem(System):
                 comparison.moved(change), comparison.moved(nominal_change), strict=True
             )
             position, speed = (altered - nominal for altered, nominal in moved_pairs)
-            usual = Conditions(usual.position + position, usual.speed + speed, usual.load)
+            usual = usual._replace(position=usual.position + position, speed=usual.speed + speed)
         elif (gain == 1.0).all():
             return None
         return Altered(usual, gain)

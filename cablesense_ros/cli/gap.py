@@ -121,7 +121,7 @@ def diagnose(
         )
     else:
         from cablesense_gap.report.page import write_robot_diagnosis
-        from cablesense_gap.report.text import headline
+        from cablesense_gap.report.text import coverage_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_recording
         from cablesense_gap.robot.system import diagnose as make
@@ -152,7 +152,8 @@ def diagnose(
         of_reference = () if healthy is None else healthy.notes
         reference_notes = [f"Reference: {note}" for note in of_reference]
         notes = (*recorded.notes, *reference_notes)
-        lines = [*diagnosis.findings, *reference_notes, headline(verdict), *verdict.doubts]
+        lines = [*diagnosis.findings, *reference_notes, headline(verdict)]
+        lines += [line for line in (coverage_sentence(verdict), *verdict.doubts) if line]
     if json_output:
         for note in notes:
             console.print(note, soft_wrap=True, markup=False, highlight=False)
@@ -180,7 +181,7 @@ def _diagnosed_arm(
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
-    from cablesense_gap.report.text import earlier_sentence, headline
+    from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
     from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
@@ -193,6 +194,7 @@ def _diagnosed_arm(
         diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
     write_diagnosis(out, diagnosis)
     lines = [*recorded.notes, headline(diagnosis.verdict)]
+    lines += [line for line in (coverage_sentence(diagnosis.verdict),) if line]
     lines += [*map(earlier_sentence, diagnosis.verdict.earlier)]
     if len(diagnosis.recording) < len(recorded):
         lines.append(f"Used: {len(diagnosis.recording):,} of {len(recorded):,} rows")
