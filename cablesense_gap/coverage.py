@@ -1,13 +1,13 @@
 """The part of a recording that the recording of the healthy machine covers.
 
-A reading is covered if the reference tells more of its residual than one reading there would: with
-columns x of the regression, coefficients of covariance Σ, and the variance s² of what does not
-repeat,
+A reading is covered if the reference tells as much of its residual as one reading there would:
+with columns x of the regression, coefficients of covariance Σ, the variance s² of what does not
+repeat, and c readings in turn that count as one (`CORRELATED`),
 
-    xᵀ Σ x ≤ s²
+    xᵀ Σ x ≤ c s²
 
-so s² / (xᵀ Σ x) counts the readings that the reference is worth there. Elsewhere the floor of that
-reading is mostly extrapolated. Beyond the reference's range of positions, speeds and loads the
+so c s² / (xᵀ Σ x) counts the readings that the reference is worth there. Elsewhere the floor of
+that reading is mostly extrapolated. Beyond the reference's range of positions, speeds and loads the
 variance of all that repeats comes in addition (`diagnosis.discrepancy`).
 """
 

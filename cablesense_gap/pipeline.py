@@ -130,7 +130,7 @@ def diagnose_system(
     """Find what makes the recorded machine differ from the nominal one.
 
     `progress` receives the present step and the share that is done; `began_s` is when the
-    diagnosis started, by `time.monotonic`. With a `reference`, whose tolerances the system has,
+    diagnosis started, by `time.monotonic`. With a `reference`, whose known values the system has,
     it is what changed since then.
     """
     began_s = time.monotonic() if began_s is None else began_s

@@ -15,6 +15,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.coverage import Coverage, coverage_of
 from cablesense_gap.diagnosis.discrepancy import (
+    CORRELATED,
     Conditions,
     Discrepancy,
     Key,
@@ -26,7 +27,7 @@ from cablesense_gap.diagnosis.discrepancy import (
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.model_error import TwoParts
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.simulator import Assignment, Simulator, predicted_changes, small_changes
+from cablesense_gap.simulator import Assignment, Simulator, Term, predicted_changes, small_changes
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
 
@@ -131,6 +132,7 @@ class Reference:
 
     Attributes:
         tolerances: of the machine.
+        loads: that it bears beyond its model.
         left: the gap of the nominal machine there, for the verdict.
     """
 
@@ -141,8 +143,10 @@ class Reference:
         assert without_effects is not None
         used = problem.used
         nominal = problem.readings - problem.nominal
-        self.tolerances = dict(without_effects.nuisance)
-        system = system.with_listed(self.tolerances)
+        borne = system.borne(problem, without_effects)
+        self.tolerances = dict((borne or without_effects).nuisance)
+        self.loads = {} if borne is None else dict(borne.values)
+        system = system.with_listed(self.known)
         problem = replace(
             problem,
             simulator=system,
@@ -174,8 +178,13 @@ class Reference:
             channels=system.channels(before, unexplained),
         )
 
+    @property
+    def known(self) -> dict[Term, float]:
+        """Tolerances and loads: what the healthy machine has beyond its model."""
+        return {**self.tolerances, **self.loads}
+
     def expected(self, system: System, problem: Problem) -> Expected:
-        """In another recording, in its units; `system` has the reference's tolerances."""
+        """In another recording, in its units; `system` has all that is `known`."""
         beyond = np.zeros_like(system.readings)
         conditions = system.conditions()
         if self._smooth is not None and conditions is not None:
@@ -204,8 +213,8 @@ class Reference:
     def _coverage(
         self, system: System, predicted: Prediction, conditions: Conditions | None
     ) -> Coverage:
-        known = np.maximum(predicted.scatter, system.floor * system.scale)
-        covered = predicted.extrapolated <= known
+        scatter = np.maximum(predicted.scatter, system.floor * system.scale)
+        covered = predicted.extrapolated**2 <= CORRELATED * scatter**2
         counts = np.ones_like(system.readings)
         at_readings = conditions
         if conditions is not None:

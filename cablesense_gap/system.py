@@ -108,6 +108,13 @@ class System(ABC):
         """
         raise CableSenseError(f"{self.name}: this kind of machine has no reference; leave it out")
 
+    def borne(self, problem: Problem, without_effects: Hypothesis) -> Hypothesis | None:
+        """A load that the healthy machine bears beyond its model; None if it shows none.
+
+        It is then part of the nominal machine, so that it may be taken off.
+        """
+        return None
+
     def conditions(self) -> Conditions | None:
         """Position, speed and load of each channel, for functions of them; None has none."""
         return None

@@ -46,7 +46,7 @@ _FARTHEST = 1.6
 """Half ranges from the middle beyond which powers stay constant: they grow without bound."""
 _MARGIN = 0.1
 """Share of a condition's range beyond it where nothing is known any more; waves end there."""
-_CORRELATED = 4.0
+CORRELATED = 4.0
 """Rows in turn that count as one."""
 _ITERATIONS = 30
 """Of the fixed point of the evidence, which converges by then."""
@@ -404,8 +404,8 @@ def _fitted(
     def posterior(rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         gram = x[:, rows] @ x[:, rows].T
         moment = x[:, rows] @ y[rows]
-        covariance = np.linalg.inv(gram / (_CORRELATED * scatter) + np.diag(precision))
-        return covariance @ moment / (_CORRELATED * scatter), covariance
+        covariance = np.linalg.inv(gram / (CORRELATED * scatter) + np.diag(precision))
+        return covariance @ moment / (CORRELATED * scatter), covariance
 
     held_out = np.zeros_like(y)
     spread = np.zeros_like(y)
@@ -435,9 +435,9 @@ def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Arr
 
     Columns (K, R) and values (R,) have a mean square of one.
     """
-    gram = x @ x.T / _CORRELATED
-    moment = x @ y / _CORRELATED
-    count = len(y) / _CORRELATED
+    gram = x @ x.T / CORRELATED
+    moment = x @ y / CORRELATED
+    count = len(y) / CORRELATED
     precision = np.full(len(x), float(len(x)))
     scatter = _FIRST_SCATTER
     for _ in range(_ITERATIONS):

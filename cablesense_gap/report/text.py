@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -35,6 +36,7 @@ SURE = 0.9
 """A verdict of at least this probability is stated without `probably`."""
 PROBABLE = 0.5
 """A verdict is called probable above this, and otherwise one of several that are likely."""
+_PAYLOAD = "payload"
 _MOST_CHANNELS = 3
 """That a headline names."""
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
@@ -203,8 +205,30 @@ def cause(verdict: Verdict, name: str) -> str:
     places = effect_places(verdict, name)
     if not verdict.channels:
         return about + _at(places)
+    if name == _PAYLOAD and (loads := _loads(verdict, places)):
+        return listed(loads)
     named = listed([place.replace("_into_", " into ") for place in places])
     return f"{about} at {named}" if places else about
+
+
+def _loads(verdict: Verdict, bodies: tuple[str, ...]) -> list[str]:
+    """`2.0 kg taken off at lower, 0.1 m from its centre of mass`, by body; none if not known."""
+    texts = []
+    for body in bodies:
+        named_places = f"{_PAYLOAD}.{body}.mass_kg" in verdict.parameters
+        prefix = f"{_PAYLOAD}.{body}" if named_places else _PAYLOAD
+        numbers = [f"{prefix}.mass_kg", *(f"{prefix}.place_{axis}_m" for axis in "xyz")]
+        if not set(numbers) <= set(verdict.parameters):
+            return []
+        mass_kg, *place_m = (verdict.parameters[number].value for number in numbers)
+        what = "taken off" if mass_kg < 0.0 else "added"
+        if not verdict.reference:
+            what = "that nobody modelled"
+        texts.append(
+            f"{abs(mass_kg):.2g} kg {what} at {body}, {math.hypot(*place_m):.2g} m from its "
+            "centre of mass"
+        )
+    return texts
 
 
 def causes_and_advice(verdict: Verdict) -> list[tuple[str, str]]:

@@ -17,7 +17,7 @@ from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
-from cablesense_gap.robot import doubts
+from cablesense_gap.robot import doubts, loads
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.forward import ForwardComparison
@@ -29,7 +29,7 @@ from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.system import FOLDS, Altered, System, Unlisted
-from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
+from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Verdict, Where
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
 
@@ -96,7 +96,8 @@ class RobotSystem(System):
             and (by_servos or not effect.of_servos)
         ]
         named = [self._candidate(e, motion) for e in offered if not e.tolerance]
-        self.candidates = tuple(candidate for candidate in named if candidate.places)
+        signed = (part for each in named for part in loads.with_sign(each, self.listed))
+        self.candidates = tuple(candidate for candidate in signed if candidate.places)
         self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
         self.readings = self.comparison.readings / self.comparison.noise
         self.scale = self.comparison.noise
@@ -120,6 +121,17 @@ class RobotSystem(System):
             parameters,
             against_motion=effect.against_motion,
         )
+
+    def borne(self, problem: Problem, without_effects: Hypothesis) -> Hypothesis | None:
+        """A payload of the body where it leaves least, if that is clear."""
+        return loads.borne(problem, self.candidates, without_effects)
+
+    def numbers(
+        self, hypothesis: Hypothesis, values: Mapping[Term, float]
+    ) -> dict[str, FittedNumber]:
+        """The values, and the places of payloads."""
+        fitted = super().numbers(hypothesis, values)
+        return loads.with_places(fitted, hypothesis, self.candidates)
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, Q, C) of P variants, in floors."""
@@ -188,12 +200,12 @@ class RobotSystem(System):
         """Of each channel's joint; loads are in the channel's unit where it is no position."""
         joint_names = [name.rpartition(".")[2] for name in self.comparison.names]
         joint_indices = [self.robot.joints.index(name) for name in joint_names]
-        loads = self.comparison.units
+        load_units = self.comparison.units
         if self.motion.external:
-            loads = tuple(self.robot.torque_units[j] for j in joint_indices)
+            load_units = tuple(self.robot.torque_units[j] for j in joint_indices)
         return [
             ConditionUnits(name, position, f"{position}/s", load, f"{position}/s²")
-            for name, j, load in zip(self.comparison.names, joint_indices, loads, strict=True)
+            for name, j, load in zip(self.comparison.names, joint_indices, load_units, strict=True)
             for position in (self.robot.position_units[j],)
         ]
 
@@ -420,13 +432,13 @@ def diagnose(
     if reference is not None:
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
-        system = system.with_listed(healthy.tolerances)
+        system = system.with_listed(healthy.known)
     diagnosis = diagnose_system(system, progress, workers, began_s, healthy)
-    tolerances = {} if healthy is None else healthy.tolerances
+    known = {} if healthy is None else healthy.known
     return RobotDiagnosis(
         system=system,
         verdict=diagnosis.verdict,
-        amended={**diagnosis.values, **added(diagnosis.tolerances, tolerances)},
+        amended=added(added(diagnosis.values, diagnosis.tolerances), known),
         before=diagnosis.nominal * system.comparison.noise,
         after=diagnosis.held_out * system.comparison.noise,
         findings=(

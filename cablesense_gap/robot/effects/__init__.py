@@ -31,6 +31,7 @@ class RobotEffect(EffectDescription):
         of_torques: whether it is in readings of torques alone.
         of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
         of_servos: whether it shows only where motion is compared with the commands of servos.
+        adds_up: whether its numbers at one place add up over lists of effects, as one cause.
     """
 
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
@@ -42,6 +43,7 @@ class RobotEffect(EffectDescription):
     of_torques: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
     of_servos: ClassVar[bool] = False
+    adds_up: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Places of a robot that the effect can be in, by name."""

@@ -93,7 +93,7 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
     }
 
     def left(name, values, **more):
-        again = system(name, 3, **more).with_listed(reference.tolerances)
+        again = system(name, 3, **more).with_listed(reference.known)
         problem = problem_of(again)
         since_then = problem_since(problem, reference.expected(again, problem))
         predicted = since_then.simulator.predict([values])[0]
