@@ -7,8 +7,8 @@ repeat, and c readings in turn that count as one (`CORRELATED`),
     xᵀ Σ x ≤ c s²
 
 so c s² / (xᵀ Σ x) counts the readings that the reference is worth there. Elsewhere the floor of
-that reading is mostly extrapolated. Beyond the reference's range of positions, speeds and loads the
-variance of all that repeats comes in addition (`diagnosis.discrepancy`).
+that reading is mostly extrapolated. Beyond the reference's positions, speeds, loads and
+accelerations the variance of all that repeats comes in addition (`diagnosis.discrepancy`).
 """
 
 from __future__ import annotations

@@ -196,6 +196,9 @@ def diagnose_system(
     gap = gap_size(
         before, after, problem.trial[used], problem.floor, None if alone is None else alone[used]
     )
+    numbers = system.numbers(explained, values)
+    if reference is not None:
+        numbers = reference.widened(numbers)
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:
         inexact = (
@@ -222,7 +225,7 @@ def diagnose_system(
         ambiguity_group=group,
         next_experiment=experiment,
         where=system.where(values, measured[0]),
-        parameters=system.numbers(explained, values),
+        parameters=numbers,
         shares=shares(problem, ranked, values),
         traded=tuple(trade.traded for trade in traded),
         tolerances_n=rest.tolerances,

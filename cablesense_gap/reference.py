@@ -7,7 +7,7 @@ with the joint's zero, and is read with the torque's scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from cablesense_gap.diagnosis.model_error import TwoParts
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.simulator import Assignment, Simulator, Term, predicted_changes, small_changes
 from cablesense_gap.system import System, problem_of
-from cablesense_gap.verdict import ReferenceGap
+from cablesense_gap.verdict import FittedNumber, ReferenceGap
 
 _LEAST = 1e-9
 """Added to the RMS of a column, so that none is divided by zero; columns are about 1."""
@@ -146,6 +146,7 @@ class Reference:
         borne = system.borne(problem, without_effects)
         self.tolerances = dict((borne or without_effects).nuisance)
         self.loads = {} if borne is None else dict(borne.values)
+        self._deviations = {} if borne is None else dict(borne.deviations)
         system = system.with_listed(self.known)
         problem = replace(
             problem,
@@ -182,6 +183,19 @@ class Reference:
     def known(self) -> dict[Term, float]:
         """Tolerances and loads: what the healthy machine has beyond its model."""
         return {**self.tolerances, **self.loads}
+
+    def widened(self, numbers: Mapping[str, FittedNumber]) -> dict[str, FittedNumber]:
+        """Numbers by name; the changes of loads with the interval of what was borne before."""
+        widened = dict(numbers)
+        for term, deviation in self._deviations.items():
+            for name in (str(term), f"{term.effect}.{term.parameter}"):
+                if name in numbers:
+                    low, high = numbers[name].ci95
+                    half = float(np.hypot(0.5 * (high - low), deviation))
+                    middle = 0.5 * (low + high)
+                    ends = middle - half, middle + half
+                    widened[name] = numbers[name].model_copy(update={"ci95": ends})
+        return widened
 
     def expected(self, system: System, problem: Problem) -> Expected:
         """In another recording, in its units; `system` has all that is `known`."""

@@ -84,7 +84,7 @@ def _lacking(verdict: Verdict) -> str:
     channels = [name for name, share in shares.items() if share < LEAST_COVERED]
     most = percent(max(shares[name] for name in channels))
     if len(channels) > _MOST_CHANNELS:
-        return f"at most {most} of the readings of {len(channels)} channels"
+        return f"at most {most} of {len(channels)} channels"
     texts = [f"{percent(shares[name])} of {_channel(verdict, name)}" for name in channels]
     return listed(texts)
 
