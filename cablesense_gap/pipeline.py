@@ -198,7 +198,7 @@ def diagnose_system(
     )
     numbers = system.numbers(explained, values)
     if reference is not None:
-        numbers = reference.widened(numbers)
+        numbers = reference.widened(numbers, values)
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:
         inexact = (

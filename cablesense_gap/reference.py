@@ -184,10 +184,13 @@ class Reference:
         """Tolerances and loads: what the healthy machine has beyond its model."""
         return {**self.tolerances, **self.loads}
 
-    def widened(self, numbers: Mapping[str, FittedNumber]) -> dict[str, FittedNumber]:
-        """Numbers by name; the changes of loads with the interval of what was borne before."""
+    def widened(
+        self, numbers: Mapping[str, FittedNumber], values: Assignment
+    ) -> dict[str, FittedNumber]:
+        """Numbers of values; the changes of loads with the interval of what was borne before."""
         widened = dict(numbers)
-        for term, deviation in self._deviations.items():
+        for term in values.keys() & self._deviations.keys():
+            deviation = self._deviations[term]
             for name in (str(term), f"{term.effect}.{term.parameter}"):
                 if name in numbers:
                     low, high = numbers[name].ci95

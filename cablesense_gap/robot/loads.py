@@ -93,7 +93,8 @@ def with_places(
                 slope = np.zeros(len(terms))
                 slope[terms.index(moment_term)] = unit_of(moment, 0.0) / mass_kg
                 slope[terms.index(mass_term)] = -place_m * unit_of(mass, 0.0) / mass_kg
-                half_m = 1.96 * float(max(slope @ hypothesis.covariance @ slope, 0.0)) ** 0.5
+                variance_m2 = float(slope @ hypothesis.covariance @ slope)
+                half_m = 1.96 * max(variance_m2, 0.0) ** 0.5
                 numbers[f"{prefix}.place_{axis}_m"] = FittedNumber(
                     value=place_m, unit="m", ci95=(place_m - half_m, place_m + half_m)
                 )
