@@ -231,6 +231,7 @@ def main() -> int:
         print(found, flush=True)
     right = sum(found["right"] for found in each_case)
     none = sum(found["named"] == NONE for found in each_case)
+    bar = "named with its sign" if options.loads else "cannot_tell or right"
     figures = {
         "seed": seed,
         "cases": len(each_case),
@@ -240,13 +241,11 @@ def main() -> int:
         "seconds_of_a_diagnosis": harness.percentiles(
             [found["seconds"] for found in each_case], ("median", "worst"), 1
         ),
-        "bars": {
-            "cannot_tell or right" if not options.loads else "named with its sign": right
-            == len(planted),
-            "none 0": none == 0,
-        },
+        "bars": {bar: right == len(planted), "none 0": none == 0},
         "each_case": each_case,
     }
+    if options.loads:
+        figures["sizes"] = _sizes(each_case)
     name = "reference_loads.json" if options.loads else "reference_coverage.json"
     return harness.publish(name, figures, options, "mujoco")
 
@@ -288,6 +287,17 @@ def _scored(planted: _Planted, folder: Path) -> dict[str, Any]:
         return scored | _load_scored(planted, verdict)
     right = verdict.effects in ((CANNOT_TELL,), planted.right) and named != NONE
     return scored | {"right": right}
+
+
+def _sizes(each_case: list[dict[str, Any]]) -> dict[str, Any]:
+    """Errors of the masses found, as shares of the truth, and how often intervals hold these."""
+    found = [each for each in each_case if each["found_kg"] is not None]
+    off = [abs(each["found_kg"] / each["truth_kg"] - 1.0) for each in found]
+    held = [each["ci95_kg"][0] <= each["truth_kg"] <= each["ci95_kg"][1] for each in found]
+    return {
+        "relative_error": harness.percentiles(off, ("median", "worst")),
+        "interval_holds": sum(held),
+    }
 
 
 def _load_scored(planted: _Planted, verdict: Verdict) -> dict[str, Any]:
