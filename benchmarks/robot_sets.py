@@ -277,14 +277,14 @@ def drawn(
         ]
     hidden = sets_of_names(rng, count, known)
     kinds = in_turn(rng, list(KINDS))
-    lacking = _imperfect if imperfect else None
+    lacking = with_what_models_lack if imperfect else None
     return [
         draw_case(KINDS[next(kinds)], cause, seed, index, known, lacking)
         for index, cause in enumerate(hidden, start=1)
     ]
 
 
-def _imperfect(
+def with_what_models_lack(
     robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: ReferenceMotion
 ) -> RealRobot:
     """The robot with what its model lacks, in random shares, joint by joint."""

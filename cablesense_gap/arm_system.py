@@ -14,7 +14,7 @@ from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_nuisance import FittedParameters, fitted_parameters
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
-from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import diagnose_system
@@ -90,7 +90,12 @@ class ArmSystem(ArmSimulator, System):
         mechanism = mechanism_of(self.arm)
         held_m = held_lengths_m(mechanism, self.recording.command_rad)
         stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
-        return Conditions(held_m, in_play(held_m - stretched_m, _PLAY), self.nominal_n)
+        way = in_play(held_m - stretched_m, _PLAY)
+        return Conditions(held_m, way, self.nominal_n, np.zeros_like(held_m))
+
+    def condition_units(self) -> list[ConditionUnits]:
+        """Of each cable."""
+        return [ConditionUnits(name, "m", "", "N", "") for name in self.arm.cable_names]
 
     def past(self) -> Past | None:
         """As returning commands and loads show it; None if the nominal arm depends on the past."""

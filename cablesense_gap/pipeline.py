@@ -16,6 +16,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.by_channel import acting_channels, judged_channels
+from cablesense_gap.coverage import Coverage
 from cablesense_gap.diagnosis.duration import expected_s
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
@@ -41,10 +42,19 @@ from cablesense_gap.partial_answer import PartialAnswer, named_that_removes, par
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
-from cablesense_gap.verdict import ChannelGap, Gap, UnlistedBeside, Verdict
+from cablesense_gap.verdict import (
+    CANNOT_TELL,
+    NONE,
+    ChannelGap,
+    Gap,
+    ReferenceGap,
+    UnlistedBeside,
+    Verdict,
+)
 
 DOUBTED = 0.5
-"""The largest probability of a verdict that its numbers make doubtful."""
+"""The largest probability of a verdict that its numbers, or a reference that hardly covers the
+recording, make doubtful."""
 _MUCH_UNEXPLAINED = 0.25
 """Share of the gap from which the next experiment is to show most of the unexplained part."""
 
@@ -70,6 +80,39 @@ class Outcome:
     held_out: Array
 
 
+def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
+    """Whether the reference leaves open if something changed.
+
+    A channel of which most is not covered may have changed unseen. Named effects rest on the
+    covered readings: they stand if these make them probable, in more than one trial.
+    """
+    if not coverage.lacking:
+        return False
+    best = ranked[0]
+    if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
+        return True
+    without_effects = next(h for r in ranked if (h := r.hypothesis) and not h.effects)
+    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
+        without_effects
+    )
+
+
+def _changed_where_covered(first: Ranked) -> tuple[str, ...]:
+    if first.effects != UNKNOWN:
+        return ()
+    return (
+        "Where the reference covers the recording, something changed that no listed effect "
+        "explains.",
+    )
+
+
+def _reference_gap(reference: Reference, coverage: Coverage | None) -> ReferenceGap:
+    if coverage is None:
+        return reference.left
+    found = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
+    return reference.left.model_copy(update=found)
+
+
 def diagnose_system(
     system: System,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -82,8 +125,8 @@ def diagnose_system(
 
     `progress` receives the present step and the share that is done, in the stages of
     `diagnosis.duration`; `announce` receives the seconds that it will take, before the search;
-    `began_s` is when the diagnosis started, by `time.monotonic`. With a `reference`, whose
-    tolerances the system has, it is what changed since then.
+    `began_s` is when the diagnosis started, by `time.monotonic`. With a `reference`, whose known
+    values the system has, it is what changed since then.
     """
     began_s = time.monotonic() if began_s is None else began_s
     progress("preparing", 0.0)
@@ -114,7 +157,14 @@ def diagnose_system(
         hypotheses = system.completed(problem, search(problem, progress, workers))
     everything = posterior(hypotheses, problem.floor, calibration)
     ranked = named_that_removes(problem, everything, calibration)
-    if part is None and ranked[0].effects == UNKNOWN:
+    coverage = usual.coverage
+    cannot_tell = coverage is not None and _cannot_tell(coverage, ranked)
+    changed: tuple[str, ...] = ()
+    if cannot_tell:
+        changed = _changed_where_covered(ranked[0])
+        ranked = sorted(ranked, key=lambda each: each.effects != (NONE,))
+        part = None
+    elif part is None and ranked[0].effects == UNKNOWN:
         part = answer(problem, everything)
     # the readings in which nothing unlisted acts, and the hypotheses that were fitted to these
     of_effects = problem
@@ -166,6 +216,9 @@ def diagnose_system(
     gap = _gap_of(of_effects, predicted, fitted)
     nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
     measured = [system.readings - each for each in (nominal, held_out)]
+    numbers = system.numbers(explained, values)
+    if reference is not None:
+        numbers = reference.widened(numbers, values)
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:
         inexact = (
@@ -183,13 +236,21 @@ def diagnose_system(
     deviations = _rms((usual.floor / usual.weight)[rows])
     gaps = system.channels(measured[0][rows], measured[1][rows], deviations)
     channels = judged_channels(replace(problem, used=rows), explained, gaps, calibration)
+    effects = ranked[0].effects
+    probability = ranked[0].probability
+    if cannot_tell and coverage is not None:
+        effects = (CANNOT_TELL,)
+        group = effects
+        probability = 1.0 - min(channel.share for channel in coverage.by_channel.values())
+        experiment = coverage.experiment
+        reasons = changed
     verdict = Verdict(
-        effects=ranked[0].effects,
-        probability=ranked[0].probability,
+        effects=effects,
+        probability=probability,
         ambiguity_group=group,
         next_experiment=experiment,
         where=system.where(values, measured[0][used]),
-        parameters=system.numbers(explained, values),
+        parameters=numbers,
         shares=shares(of_effects, stated, values),
         traded=tuple(trade.traded for trade in traded),
         forms=system.forms(problem, best) if best else {},
@@ -199,7 +260,7 @@ def diagnose_system(
         unexplained_share=rest.share,
         gap=gap,
         doubts=doubts,
-        reference=None if reference is None else reference.left,
+        reference=None if reference is None else _reference_gap(reference, coverage),
         candidates=candidate_results(stated),
         why=reasons,
         seconds=time.monotonic() - began_s,

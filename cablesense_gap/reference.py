@@ -7,16 +7,19 @@ with the joint's zero, and is read with the torque's scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.coverage import Coverage, coverage_of
 from cablesense_gap.diagnosis.discrepancy import (
+    CORRELATED,
     Conditions,
     Discrepancy,
     Key,
+    Prediction,
     ResidualByPosition,
     SmoothColumns,
     effect_columns,
@@ -24,12 +27,14 @@ from cablesense_gap.diagnosis.discrepancy import (
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.model_error import TwoParts
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.simulator import Assignment, Simulator, predicted_changes, small_changes
+from cablesense_gap.simulator import Assignment, Simulator, Term, predicted_changes, small_changes
 from cablesense_gap.system import System, problem_of
-from cablesense_gap.verdict import ReferenceGap
+from cablesense_gap.verdict import FittedNumber, ReferenceGap
 
 _LEAST = 1e-9
 """Added to the RMS of a column, so that none is divided by zero; columns are about 1."""
+_UNCOVERED_WEIGHT = 1e-6
+"""Of readings that the reference does not cover: none, but for dividing by it again."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,8 @@ class Expected:
         floor: root mean square of these deviations.
         moving: the change of the mean by variants; None if there is none.
         parts: scaled apart, after the weight; None if they are not.
+        coverage: by the reference; readings that it does not cover have next to no weight. None
+            without a reference.
     """
 
     mean: Array
@@ -77,6 +84,7 @@ class Expected:
     floor: float
     moving: MovingMean | None = None
     parts: TwoParts | None = None
+    coverage: Coverage | None = None
 
     def weighted(self, values: Array) -> Array:
         """Values (…, R, C) whose deviations are as large as the floor."""
@@ -124,6 +132,7 @@ class Reference:
 
     Attributes:
         tolerances: of the machine.
+        loads: that it bears beyond its model.
         left: the gap of the nominal machine there, for the verdict.
     """
 
@@ -134,8 +143,11 @@ class Reference:
         assert without_effects is not None
         used = problem.used
         nominal = problem.readings - problem.nominal
-        self.tolerances = dict(without_effects.nuisance)
-        system = system.with_listed(self.tolerances)
+        borne = system.borne(problem, without_effects)
+        self.tolerances = dict((borne or without_effects).nuisance)
+        self.loads = {} if borne is None else dict(borne.values)
+        self._deviations = {} if borne is None else dict(borne.deviations)
+        system = system.with_listed(self.known)
         problem = replace(
             problem,
             simulator=system,
@@ -167,22 +179,67 @@ class Reference:
             channels=system.channels(before, unexplained, np.full(before.shape[1], system.floor)),
         )
 
+    @property
+    def known(self) -> dict[Term, float]:
+        """Tolerances and loads: what the healthy machine has beyond its model."""
+        return {**self.tolerances, **self.loads}
+
+    def widened(
+        self, numbers: Mapping[str, FittedNumber], values: Assignment
+    ) -> dict[str, FittedNumber]:
+        """Numbers of values; the changes of loads with the interval of what was borne before."""
+        widened = dict(numbers)
+        for term in values.keys() & self._deviations.keys():
+            deviation = self._deviations[term]
+            for name in (str(term), f"{term.effect}.{term.parameter}"):
+                if name in numbers:
+                    low, high = numbers[name].ci95
+                    half = float(np.hypot(0.5 * (high - low), deviation))
+                    middle = 0.5 * (low + high)
+                    ends = middle - half, middle + half
+                    widened[name] = numbers[name].model_copy(update={"ci95": ends})
+        return widened
+
     def expected(self, system: System, problem: Problem) -> Expected:
-        """In another recording, in its units; `system` has the reference's tolerances."""
+        """In another recording, in its units; `system` has all that is `known`."""
         beyond = np.zeros_like(system.readings)
         conditions = system.conditions()
         if self._smooth is not None and conditions is not None:
-            beyond = np.abs(system.compared_columns(self._smooth.beyond(conditions)))
+            by_quantity = self._smooth.beyond(conditions)
+            square = sum((each**2 for each in by_quantity), np.zeros_like(conditions.position))
+            beyond = np.abs(system.compared_columns(np.sqrt(square)))
         columns = self._columns(system, _scaled_effects(system, problem))
-        mean, deviation = self._discrepancy.of(columns, beyond)
-        deviation = np.maximum(deviation / system.scale, system.floor)
-        floor = float(np.sqrt((deviation[system.counted] ** 2).mean()))
-        mean = mean / system.scale
+        predicted = self._discrepancy.of(columns, beyond)
+        deviation = np.maximum(predicted.deviation / system.scale, system.floor)
+        coverage = self._coverage(system, predicted, conditions)
+        mean = predicted.mean / system.scale
+        certain = coverage.covered & system.counted[:, None]
+        if not certain.any():
+            certain = np.broadcast_to(system.counted[:, None], deviation.shape)
+        floor = float(np.sqrt((deviation[certain] ** 2).mean()))
+        # those that count have a root mean square of the floor over all rows
+        all_counted = float(system.counted.sum() * deviation.shape[1])
+        weight = floor / deviation * np.sqrt(all_counted / certain.sum())
+        weight = np.where(certain, weight, _UNCOVERED_WEIGHT * weight)
         moving = None
         if self._by_position is not None and conditions is not None:
             mean_here = self._by_position.of(conditions, np.arange(mean.shape[1]))
             moving = MovingMean(system, self._by_position, mean, conditions, mean_here)
-        return Expected(mean, floor / deviation, floor, moving)
+        return Expected(mean, weight, floor, moving, coverage=coverage)
+
+    def _coverage(
+        self, system: System, predicted: Prediction, conditions: Conditions | None
+    ) -> Coverage:
+        scatter = np.maximum(predicted.scatter, system.floor * system.scale)
+        covered = predicted.extrapolated**2 <= CORRELATED * scatter**2
+        counts = np.ones_like(system.readings)
+        at_readings = conditions
+        if conditions is not None:
+            counts = np.abs(system.compared_columns(np.ones_like(conditions.position)))
+            whole = np.maximum(counts, _LEAST)
+            at_readings = Conditions(*(system.compared_columns(q) / whole for q in conditions))
+        counts = np.minimum(counts, 1.0) * system.counted[:, None]
+        return coverage_of(covered, counts, at_readings, self._smooth, system.condition_units())
 
     def _columns(self, system: System, effects: dict[Key, Array]) -> dict[Key, Array]:
         conditions = system.conditions()

@@ -18,6 +18,7 @@ import numpy as np
 from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text
 from cablesense_gap.verdict import (
+    CANNOT_TELL,
     MAX_FILE_BYTES,
     NONE,
     UNKNOWN,
@@ -218,7 +219,7 @@ def budget_score(cases: Sequence[tuple[Verdict, Truth]]) -> BudgetScore:
     for verdict, answer in cases:
         if answer.effects[0] in (NONE, UNKNOWN):
             continue
-        names = () if verdict.effects[0] in (NONE, UNKNOWN) else verdict.effects
+        names = () if verdict.effects[0] in (CANNOT_TELL, NONE, UNKNOWN) else verdict.effects
         false += [name not in answer.effects for name in names]
         removed.append(verdict.gap.removed_fraction if names else 0.0)
         for effect, gap_n in zip(answer.effects, answer.each_gap_n, strict=False):

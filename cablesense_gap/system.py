@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.nuisance import with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
 from cablesense_gap.explained import estimates
@@ -108,9 +108,21 @@ class System(ABC):
         """
         raise CableSenseError(f"{self.name}: this kind of machine has no reference; leave it out")
 
+    def borne(self, problem: Problem, without_effects: Hypothesis) -> Hypothesis | None:
+        """A load that the healthy machine bears beyond its model; None if it shows none.
+
+        It is then part of the nominal machine, so that it may be taken off.
+        """
+        return None
+
     def conditions(self) -> Conditions | None:
         """Position, speed and load of each channel, for functions of them; None has none."""
         return None
+
+    def condition_units(self) -> list[ConditionUnits]:
+        """Name and units of each channel."""
+        count = self.readings.shape[1]
+        return [ConditionUnits(f"channel_{c + 1}", "", "", self.unit, "") for c in range(count)]
 
     def compared_columns(self, column: Array) -> Array:
         """A function of the conditions as channels are compared, (R, C)."""

@@ -15,6 +15,8 @@ from cablesense_base.plain_yaml import FilePart, describe_problem
 
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
+CANNOT_TELL: Final = "cannot_tell"
+"""The reference does not cover the recording, so that nothing can be said."""
 MAX_FILE_BYTES = 10_000_000
 """A verdict is some pages of text; anything larger is not one."""
 
@@ -27,14 +29,15 @@ def checked_effects(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names of a hypothesis.
 
     Raises:
-        ValueError: they are not in alphabetical order, or `none` or `unknown` has company.
+        ValueError: they are not in alphabetical order, or `none`, `unknown` or `cannot_tell` has
+            company.
     """
     if list(names) != sorted(set(names)):
         raise ValueError(
             f"= {', '.join(names)}: must be in alphabetical order, each once: "
             f"{', '.join(sorted(set(names)))}"
         )
-    for alone in (NONE, UNKNOWN):
+    for alone in (NONE, UNKNOWN, CANNOT_TELL):
         if alone in names and len(names) > 1:
             raise ValueError(f"= {', '.join(names)}: {alone} must stand alone")
     return names
@@ -266,6 +269,36 @@ class FrictionForm(FilePart):
     left_n: dict[str, Newtons] = Field(default_factory=dict)
 
 
+Quantity = Literal["position", "speed", "load", "acceleration"]
+"""A condition of a channel's readings (`diagnosis.discrepancy.Conditions`)."""
+
+
+class Lacking(FilePart):
+    """A condition of a channel's readings that the reference does not cover.
+
+    Attributes:
+        recorded: the interval that holds nine tenths of its values in these readings.
+        reference: the interval that the reference has.
+    """
+
+    quantity: Quantity
+    unit: str
+    recorded: Interval
+    reference: Interval
+
+
+class ChannelCoverage(FilePart):
+    """The share of a channel's readings that the reference covers, and what it lacks.
+
+    Attributes:
+        lacking: conditions beyond the reference's; none where single ones are within, and only
+            their combination is not covered.
+    """
+
+    share: Probability
+    lacking: tuple[Lacking, ...] = ()
+
+
 class ReferenceGap(FilePart):
     """The healthy recording that a verdict is against; what it names came since.
 
@@ -274,12 +307,17 @@ class ReferenceGap(FilePart):
         before_n: RMS gap of the nominal model there.
         left_n: the same with tolerances and discrepancy, on trials that their fit has not seen.
         channels: of a robot, both by joint.
+        covered_share: share of the diagnosed readings that the reference covers; the verdict is
+            of these alone.
+        coverage: the same by channel, and what is lacking.
     """
 
     recording: str
     before_n: Newtons
     left_n: Newtons
     channels: dict[ChannelName, ChannelGap] = Field(default_factory=dict)
+    covered_share: Probability | None = None
+    coverage: dict[ChannelName, ChannelCoverage] = Field(default_factory=dict)
 
 
 class Verdict(FilePart):
@@ -289,8 +327,9 @@ class Verdict(FilePart):
     `unit`: N of an arm; channels of a robot are each in units of their floor, `floors`.
 
     Attributes:
-        effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
-        probability: that exactly these effects are the cause.
+        effects: `("none",)`, `("unknown",)`, `("cannot_tell",)`, or names in alphabetical order.
+        probability: that exactly these effects are the cause; of `cannot_tell` the share of the
+            least covered channel that the reference does not cover.
         ambiguity_group: hypotheses that this recording cannot distinguish; several effects of
             one hypothesis are joined by `+`.
         parameters: by `effect.parameter`, or `effect.place.parameter` for one place of several.

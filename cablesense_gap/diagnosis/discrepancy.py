@@ -10,7 +10,9 @@ columns are
   its load.
 
 The posterior predicts the mean residual of another recording, which is no gap, and its variance,
-which replaces the floor. The residuals of held-out trials may make the variance larger.
+which replaces the floor. The residuals of held-out trials may make the variance larger. A part of
+the variance is the scatter, which no further reading would make smaller. The rest is extrapolated:
+it comes from the coefficients, and from conditions beyond those of the reference.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ _SLIDING_POWERS = 3
 _FARTHEST = 1.6
 """Half ranges from the middle beyond which powers stay constant: they grow without bound."""
 _MARGIN = 0.1
-"""Share of the range beyond it where waves end, and nothing is known any more."""
-_CORRELATED = 4.0
+"""Share of a condition's range beyond it where nothing is known any more; waves end there."""
+CORRELATED = 4.0
 """Rows in turn that count as one."""
 _ITERATIONS = 30
 """Of the fixed point of the evidence, which converges by then."""
@@ -67,15 +69,29 @@ Key = tuple[str, ...]
 
 
 class Conditions(NamedTuple):
-    """Position, speed and load (R, C) at which each channel is measured, all in SI units."""
+    """How each channel's part of the machine moves and what it bears, in SI units.
+
+    (R, C) by row and channel, or (C,) where they are bounds.
+    """
 
     position: Array
     speed: Array
     load: Array
+    acceleration: Array
 
     def only(self, channels: NDArray[np.int64]) -> Conditions:
         """The same of K of the C channels, given by their positions (K,)."""
-        return Conditions(*(quantity[:, channels] for quantity in self))
+        return Conditions(*(quantity[..., channels] for quantity in self))
+
+
+class ConditionUnits(NamedTuple):
+    """The name of a channel, and the units of its conditions."""
+
+    name: str
+    position: str
+    speed: str
+    load: str
+    acceleration: str
 
 
 def effect_columns(problem: Problem) -> dict[Key, Array]:
@@ -97,18 +113,25 @@ def effect_columns(problem: Problem) -> dict[Key, Array]:
 
 @dataclass(frozen=True)
 class SmoothColumns:
-    """Functions of the conditions, by what the reference's are like; (C,) each."""
+    """Functions of the conditions, by what the reference's are like.
 
-    low: Array
-    high: Array
+    Attributes:
+        low, high: (C,) the least and the largest of each condition.
+        speed, load: (C,) root mean squares.
+    """
+
+    low: Conditions
+    high: Conditions
     speed: Array
     load: Array
 
     @staticmethod
     def like(conditions: Conditions) -> SmoothColumns:
         """The functions whose ranges are those of conditions (R, C)."""
+        low = Conditions(*(quantity.min(0) for quantity in conditions))
+        high = Conditions(*(quantity.max(0) for quantity in conditions))
         sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
-        return SmoothColumns(conditions.position.min(0), conditions.position.max(0), *sizes)
+        return SmoothColumns(low, high, *sizes)
 
     def powers(self, conditions: Conditions) -> Array:
         """(K, R, C) powers of the position, alone and times the direction of the motion."""
@@ -119,18 +142,28 @@ class SmoothColumns:
 
     def _place(self, conditions: Conditions) -> Array:
         """Positions (R, C) as shares of the range."""
-        span = np.maximum(self.high - self.low, _LEAST)
-        return np.asarray((conditions.position - self.low) / span)
+        span = np.maximum(self.high.position - self.low.position, _LEAST)
+        return np.asarray((conditions.position - self.low.position) / span)
 
-    def beyond(self, conditions: Conditions) -> Array:
-        """(R, C) by how much positions are beyond the range; from 1 on nothing is known."""
-        place = self._place(conditions)
-        return np.asarray(np.abs(place - np.clip(place, 0.0, 1.0)) / _MARGIN)
+    def beyond(self, conditions: Conditions) -> Conditions:
+        """(R, C) by how much conditions are beyond their ranges; from 1 on nothing is known."""
+        margins = []
+        for name, quantity, low, high in zip(
+            Conditions._fields, conditions, self.low, self.high, strict=True
+        ):
+            size = 0.0 if name == "position" else np.maximum(np.abs(low), np.abs(high))
+            span = np.maximum(np.maximum(high - low, size), _LEAST)
+            excess = np.abs(quantity - np.clip(quantity, low, high))
+            margins.append(excess / (_MARGIN * span))
+        return Conditions(*margins)
 
     def only(self, channels: NDArray[np.int64]) -> SmoothColumns:
         """The same of K of the C channels, given by their positions (K,)."""
         return SmoothColumns(
-            *(of[channels] for of in (self.low, self.high, self.speed, self.load))
+            self.low.only(channels),
+            self.high.only(channels),
+            self.speed[channels],
+            self.load[channels],
         )
 
     def waves(self, conditions: Conditions) -> list[tuple[int, Key, Array]]:
@@ -163,6 +196,25 @@ def _wave(k: int, at: Array) -> Sequence[Array]:
     return (np.cos(k * at), np.sin(k * at)) if k else (np.ones_like(at),)
 
 
+class Prediction(NamedTuple):
+    """The residuals that are expected of a healthy machine in another recording, (R, C) each.
+
+    Attributes:
+        mean: of the residuals.
+        scatter: standard deviation of what does not repeat.
+        extrapolated: standard deviation of the rest, by what the reference does not tell.
+    """
+
+    mean: Array
+    scatter: Array
+    extrapolated: Array
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation of a residual, (R, C)."""
+        return np.hypot(self.scatter, self.extrapolated)
+
+
 @dataclass(frozen=True)
 class _Channel:
     """The posterior of one channel's coefficients, of columns by name.
@@ -182,13 +234,19 @@ class _Channel:
         known = zip(self.keys, self.mean.tolist(), strict=True)
         return sum(size * columns[key][:, c] for key, size in known if key in columns)
 
-    def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> tuple[Array, Array]:
-        """Mean and variance (R,) of its readings; `beyond` (R,) as of `SmoothColumns`."""
+    def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> Prediction:
+        """That of its readings (R,); `beyond` (R,) as of `Discrepancy.of`.
+
+        With columns x the extrapolated variance is xᵀ Σ x of the coefficients, and beyond the
+        range the variance of all that repeats, for each margin beyond.
+        """
         absent = np.zeros_like(beyond)
         x = np.array([columns[k][:, c] if k in columns else absent for k in self.keys])
         x = x.reshape(len(self.keys), len(beyond))
-        spread = (x * (self.covariance @ x)).sum(0) + self.scatter
-        return self.mean @ x, self.factor * spread + self.square * beyond**2
+        of_coefficients = self.factor * np.maximum((x * (self.covariance @ x)).sum(0), 0.0)
+        repeating = max(self.square - self.scatter, 0.0)
+        scatter = np.full_like(beyond, np.sqrt(self.factor * self.scatter))
+        return Prediction(self.mean @ x, scatter, np.sqrt(of_coefficients + repeating * beyond**2))
 
 
 class Discrepancy:
@@ -209,13 +267,15 @@ class Discrepancy:
             channel, self.held_out[:, c] = _fitted(columns, residual, c, fold)
             self._channels.append(channel)
 
-    def of(self, columns: Mapping[Key, Array], beyond: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation (R, C) of another recording's residuals."""
-        channel_moments = [
+    def of(self, columns: Mapping[Key, Array], beyond: Array) -> Prediction:
+        """Another recording's residuals (R, C).
+
+        `beyond` (R, C) says by how many margins its conditions leave those of the reference.
+        """
+        by_channel = [
             channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)
         ]
-        mean, variance = (np.stack(part, axis=1) for part in zip(*channel_moments, strict=True))
-        return mean, np.sqrt(variance)
+        return Prediction(*(np.stack(part, axis=1) for part in zip(*by_channel, strict=True)))
 
     def part(self, columns: Mapping[Key, Array], channels: NDArray[np.int64]) -> Array:
         """(R, K) contributions of some columns (R, K) to the mean of K channels."""
@@ -344,8 +404,8 @@ def _fitted(
     def posterior(rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         gram = x[:, rows] @ x[:, rows].T
         moment = x[:, rows] @ y[rows]
-        covariance = np.linalg.inv(gram / (_CORRELATED * scatter) + np.diag(precision))
-        return covariance @ moment / (_CORRELATED * scatter), covariance
+        covariance = np.linalg.inv(gram / (CORRELATED * scatter) + np.diag(precision))
+        return covariance @ moment / (CORRELATED * scatter), covariance
 
     held_out = np.zeros_like(y)
     spread = np.zeros_like(y)
@@ -375,9 +435,9 @@ def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Arr
 
     Columns (K, R) and values (R,) have a mean square of one.
     """
-    gram = x @ x.T / _CORRELATED
-    moment = x @ y / _CORRELATED
-    count = len(y) / _CORRELATED
+    gram = x @ x.T / CORRELATED
+    moment = x @ y / CORRELATED
+    count = len(y) / CORRELATED
     precision = np.full(len(x), float(len(x)))
     scatter = _FIRST_SCATTER
     for _ in range(_ITERATIONS):

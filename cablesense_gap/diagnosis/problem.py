@@ -197,7 +197,10 @@ class Problem:
 
     @cached_property
     def _place_counts(self) -> dict[str, int]:
-        return {c.effect: len(c.places) for c in self.simulator.candidates}
+        counts: Counter[str] = Counter()
+        for candidate in self.simulator.candidates:
+            counts[candidate.effect] += len(candidate.places)
+        return counts
 
     def penalty(self, counts: Mapping[str, int]) -> float:
         """Factor on the cost, from the number of places of each effect."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cablesense_gap.amended_arm import AMENDED_ARM
 from cablesense_gap.report.style import newtons
-from cablesense_gap.verdict import DECIDING_ERROR, NONE, UNKNOWN, Verdict, joined
+from cablesense_gap.verdict import CANNOT_TELL, DECIDING_ERROR, NONE, UNKNOWN, Verdict, joined
 from cablesense_sim.effects.registry import known_effects
 
 ADAPTED_MODEL = "estimator.onnx"
@@ -51,6 +51,8 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
     estimator = verdict.estimator
     if estimator is not None and estimator.after is not None and estimator.use == "after":
         return _run_the_new(verdict, given)
+    if verdict.effects == (CANNOT_TELL,):
+        return _record_when_healthy(given, arm=given.arm)
     if is_undecided(verdict):
         return NextStep(
             "Record what decides",
@@ -102,6 +104,8 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
 def robot_next_step(verdict: Verdict, given: Given) -> NextStep:
     """The next step after a diagnosis of a robot, whose model is `given.arm`."""
     positions = {"positions": "external"} if given.external else {}
+    if verdict.effects == (CANNOT_TELL,):
+        return _record_when_healthy(given, model=given.arm, **positions)
     if verdict.effects == (NONE,):
         return NextStep(
             "Keep this recording",
@@ -129,6 +133,22 @@ def robot_next_step(verdict: Verdict, given: Given) -> NextStep:
         "Its gap on a recording that was not used here says whether the finding holds.",
         _command(
             "gap", "predict", "NEW_RECORDING", model=given.out, **positions, out="predicted.csv"
+        ),
+    )
+
+
+def _record_when_healthy(given: Given, **machine: str) -> NextStep:
+    return NextStep(
+        "Record this motion when healthy",
+        "The reference does not cover the motions and loads of this recording. Record them on the "
+        "healthy machine, and diagnose this recording again with that as the reference.",
+        _command(
+            "gap",
+            "diagnose",
+            given.recording,
+            **machine,
+            reference="HEALTHY_RECORDING",
+            out=f"{given.out.rstrip('/')}_again",
         ),
     )
 

@@ -33,7 +33,7 @@ from cablesense_gap.report.style import (
     style,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict
+from cablesense_gap.verdict import CANNOT_TELL, NONE, UNKNOWN, Verdict
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 
@@ -165,7 +165,7 @@ def _marked(verdict: Verdict) -> dict[str, tuple[str, ...]]:
     return {
         text.candidate_name((name,)): text.effect_places(verdict, name)
         for name in verdict.effects
-        if name != NONE
+        if name not in (NONE, CANNOT_TELL)
     }
 
 

@@ -5,15 +5,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from cablesense_base.files import write_atomically
+from cablesense_gap.coverage import LEAST_COVERED
 from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
+    CANNOT_TELL,
     DECIDING_ERROR,
     NONE,
     UNKNOWN,
@@ -36,6 +39,9 @@ PROBABLE = 0.5
 """A verdict is called probable above this, and otherwise one of several that are likely."""
 _MOST_KEPT = 3
 """Channels whose remaining gaps stand in a sentence one by one."""
+_PAYLOAD = "payload"
+_MOST_CHANNELS = 3
+"""That a headline names."""
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
@@ -56,6 +62,11 @@ def headline(verdict: Verdict) -> str:
         return (
             f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
             f"({sure})."
+        )
+    if verdict.effects == (CANNOT_TELL,):
+        return (
+            f"Cannot tell whether anything changed{since}, which covers {_lacking(verdict)}: "
+            "record this motion when healthy."
         )
     if verdict.effects == (UNKNOWN,):
         where = "" if verdict.of_robot else _at(verdict.where.places)
@@ -133,6 +144,37 @@ def _kept(verdict: Verdict, names: tuple[str, ...]) -> str:
     if len(names) == 1:
         return f"{plain[0]} keeps {sizes[0]}, {kept} of its gap"
     return f"{listed(plain)} keep {listed(sizes)}, {kept} of their gaps"
+
+
+def _lacking(verdict: Verdict) -> str:
+    """`7 % of shoulder and 12 % of elbow`: the channels that are mostly not covered."""
+    assert verdict.reference is not None
+    shares = {name: each.share for name, each in verdict.reference.coverage.items()}
+    channels = [name for name, share in shares.items() if share < LEAST_COVERED]
+    most = percent(max(shares[name] for name in channels))
+    if len(channels) > _MOST_CHANNELS:
+        return f"at most {most} of {len(channels)} channels"
+    texts = [f"{percent(shares[name])} of {_channel(verdict, name)}" for name in channels]
+    return listed(texts)
+
+
+def _channel(verdict: Verdict, name: str) -> str:
+    """Joints keep their model's names."""
+    return name if verdict.of_robot else name.replace("_", " ")
+
+
+def coverage_sentence(verdict: Verdict) -> str:
+    """How much of the recording the reference covers; empty where all is, or without one."""
+    reference = verdict.reference
+    if reference is None or reference.covered_share is None or reference.covered_share == 1.0:
+        return ""
+    least = min(reference.coverage, key=lambda name: reference.coverage[name].share)
+    share = reference.coverage[least].share
+    return (
+        f"The reference covers {percent(reference.covered_share)} of the readings by their "
+        f"positions, speeds and loads ({percent(share)} of {_channel(verdict, least)}); the "
+        "verdict is of these alone."
+    )
 
 
 def _comes(probability: float) -> str:
@@ -235,6 +277,8 @@ def cause(verdict: Verdict, name: str) -> str:
     places = effect_places(verdict, name)
     if not verdict.of_robot:
         return about + _at(places)
+    if name == _PAYLOAD and (loads := _loads(verdict, places)):
+        return listed(loads)
     named = listed([place.replace("_into_", " into ") for place in places])
     return f"{about} at {named}{_law_text(verdict, name, places)}" if places else about
 
@@ -252,6 +296,26 @@ def _law_text(verdict: Verdict, name: str, places: Sequence[str]) -> str:
         return ", whose form is not determined"
     laws = [law for law in _NAMED_LAWS if any(form.law.startswith(law) for form in known)]
     return f" by {listed([law + _LAW for law in laws])}" if laws else ""
+
+
+def _loads(verdict: Verdict, bodies: tuple[str, ...]) -> list[str]:
+    """`2.0 kg taken off at lower, 0.1 m from its centre of mass`, by body; none if not known."""
+    texts = []
+    for body in bodies:
+        named_places = f"{_PAYLOAD}.{body}.mass_kg" in verdict.parameters
+        prefix = f"{_PAYLOAD}.{body}" if named_places else _PAYLOAD
+        numbers = [f"{prefix}.mass_kg", *(f"{prefix}.place_{axis}_m" for axis in "xyz")]
+        if not set(numbers) <= set(verdict.parameters):
+            return []
+        mass_kg, *place_m = (verdict.parameters[number].value for number in numbers)
+        what = "taken off" if mass_kg < 0.0 else "added"
+        if not verdict.reference:
+            what = "that nobody modelled"
+        texts.append(
+            f"{abs(mass_kg):.2g} kg {what} at {body}, {math.hypot(*place_m):.2g} m from its "
+            "centre of mass"
+        )
+    return texts
 
 
 def causes_and_advice(verdict: Verdict) -> list[tuple[str, str]]:
@@ -431,10 +495,11 @@ def _signed(change: float, unit: str) -> str:
 
 def common_content(verdict: Verdict) -> dict[str, Any]:
     """What `layout.html` and the budget show."""
-    alone = verdict.effects[0] in (NONE, UNKNOWN)
+    alone = verdict.effects[0] in (NONE, UNKNOWN, CANNOT_TELL)
     return {
         "kind": verdict.effects[0] if alone else "effect",
         "headline": headline(verdict),
+        "coverage": coverage_sentence(verdict),
         "rivals": rival_names(verdict),
         "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,

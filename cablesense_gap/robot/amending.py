@@ -50,15 +50,30 @@ def known_effects() -> Mapping[str, RobotEffect]:
 def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
     """The robot with effects, one list after the other, each in the order of its names.
 
-    Numbers that a list does not give are zero.
+    Numbers that a list does not give are zero. Those that add up do so where they come first.
     """
     change = robot.nominal()
-    for values in lists:
+    for values in _added_up(lists):
         for (name, place), numbers in sorted(_by_site(values).items()):
             effect = known_effects()[name]
             place_index = effect.places(robot).index(place)
             effect.act(change, place_index, defaultdict(float, numbers))
     return change
+
+
+def _added_up(lists: Sequence[Assignment]) -> list[dict[Term, float]]:
+    """The lists; numbers that add up stand in the first list that has their effect at a place."""
+    summed: list[dict[Term, float]] = []
+    first: dict[tuple[str, str], dict[Term, float]] = {}
+    for values in lists:
+        own: dict[Term, float] = {}
+        for term, value in values.items():
+            into = own
+            if known_effects()[term.effect].adds_up:
+                into = first.setdefault(term[:2], own)
+            into[term] = into.get(term, 0.0) + value
+        summed.append(own)
+    return summed
 
 
 def _by_site(values: Assignment) -> dict[tuple[str, str], dict[str, float]]:

@@ -35,7 +35,8 @@ _AT_ZERO = 0.002
 _FURTHER = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
 _FAR_BEYOND = 10.0
-"""Times the model's own value that make a number of a verdict doubtful."""
+"""Times the model's own value that make a number of a verdict doubtful; of masses, if they are
+also more than the whole robot's."""
 _LITTLE = 0.5
 """Removed share of the gap below which a verdict is doubtful."""
 
@@ -208,13 +209,18 @@ def of_verdict(
         if ranges[term].role == "size" and value and value in bounds:
             yield f"{name}: {term.parameter} ends at its bound of {value:.3g}."
     nominal = robot.nominal()
-    mass = change.mass_kg - nominal.mass_kg
+    more_kg = change.mass_kg - nominal.mass_kg
+    whole_kg = float(nominal.mass_kg.sum())
+    # a light flange bears many times its own mass, but hardly more than the robot's
+    heavy = more_kg > np.maximum(_FAR_BEYOND * nominal.mass_kg, whole_kg)
+    for k in np.flatnonzero(heavy).tolist():
+        yield (
+            f"{more_kg[k]:.3g} kg are added to {robot.bodies[k]}, which has "
+            f"{nominal.mass_kg[k]:.3g} kg; the whole model has {whole_kg:.3g} kg."
+        )
     rotor = change.armature - nominal.armature
-    for name, places, more, usual in (
-        ("mass", robot.bodies, mass, nominal.mass_kg),
-        ("inertia", robot.joints, rotor, inertia),
-    ):
-        for k in np.flatnonzero(more > _FAR_BEYOND * usual).tolist():
-            yield f"The {name} of {places[k]} is {1.0 + more[k] / usual[k]:.1f} times the model's."
+    for k in np.flatnonzero(rotor > _FAR_BEYOND * inertia).tolist():
+        times = 1.0 + rotor[k] / inertia[k]
+        yield f"The inertia of {robot.joints[k]} is {times:.1f} times the model's."
     if gap.removed_fraction < _LITTLE:
         yield f"The amended model leaves {1.0 - gap.removed_fraction:.0%} of the gap."

@@ -137,8 +137,8 @@ class ForwardComparison(MotionComparison):
     def conditions(self, change: Change) -> Conditions:
         """Position, speed and load (Q, C) of each channel in the middle of each window."""
         middle = self._path[0].shape[1] // 2
-        position, speed = (np.tile(each[:, middle], 2) for each in self._path[:2])
-        return Conditions(position, speed, self.predicted(change))
+        position, speed, acceleration = (np.tile(each[:, middle], 2) for each in self._path)
+        return Conditions(position, speed, self.predicted(change), acceleration)
 
     def _by_torque(self, motion: Motion) -> Array:
         """(C,) what the least error of torques makes, where servos or springs hold against it."""

@@ -225,7 +225,9 @@ class InverseComparison(MotionComparison):
         """Position, speed and load (R, C) of channels at all rows, before the low-pass."""
         motion = self._motion
         load = self._dynamics.torques(change)
-        return Conditions(motion.position, motion.speed, load).only(self._joints)
+        return Conditions(motion.position, motion.speed, load, motion.acceleration).only(
+            self._joints
+        )
 
     def moved(self, change: Change) -> tuple[Array, Array]:
         """(R, C) positions and speeds of the channels' joints in a variant of the robot."""
@@ -341,7 +343,7 @@ class ServoComparison(MotionComparison):
     def conditions(self, change: Change) -> Conditions:
         """Position, speed and load (Q, C) of each channel at the compared rows."""
         motion = self._motion
-        parts = motion.position, motion.speed, self._torque(change)
+        parts = motion.position, motion.speed, self._torque(change), motion.acceleration
         return Conditions(*map(motion.passed, parts))
 
     def _of_drives(self, robot: Robot) -> Motion:

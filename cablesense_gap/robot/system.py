@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
-from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.earlier import judged
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
-from cablesense_gap.robot import doubts, friction_forms
+from cablesense_gap.robot import doubts, friction_forms, loads
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.efforts import effort_readings
@@ -31,7 +31,15 @@ from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.system import FOLDS, Altered, System, Unlisted, problem_of
-from cablesense_gap.verdict import ChannelGap, Earlier, FrictionForm, Gap, Verdict, Where
+from cablesense_gap.verdict import (
+    ChannelGap,
+    Earlier,
+    FittedNumber,
+    FrictionForm,
+    Gap,
+    Verdict,
+    Where,
+)
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
 
@@ -100,7 +108,8 @@ class RobotSystem(System):
             and (by_servos or not effect.of_servos)
         ]
         named = [self._candidate(e, motion) for e in offered if not e.tolerance]
-        self.candidates = tuple(candidate for candidate in named if candidate.places)
+        signed = (part for each in named for part in loads.with_sign(each, self.listed))
+        self.candidates = tuple(candidate for candidate in signed if candidate.places)
         fitted = [self._candidate(e, motion) for e in offered if e.tolerance]
         self.tolerances = tuple(candidate for candidate in fitted if candidate.places)
         self.readings = self.comparison.readings / self.comparison.noise
@@ -127,6 +136,17 @@ class RobotSystem(System):
             against_motion=effect.against_motion,
             richer=richer,
         )
+
+    def borne(self, problem: Problem, without_effects: Hypothesis) -> Hypothesis | None:
+        """A payload of the body where it leaves least, if that is clear."""
+        return loads.borne(problem, self.candidates, without_effects)
+
+    def numbers(
+        self, hypothesis: Hypothesis, values: Mapping[Term, float]
+    ) -> dict[str, FittedNumber]:
+        """The values, and the places of payloads."""
+        fitted = super().numbers(hypothesis, values)
+        return loads.with_places(fitted, hypothesis, self.candidates)
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, Q, C) of P variants, in floors."""
@@ -192,6 +212,19 @@ class RobotSystem(System):
     def _conditions(self) -> Conditions:
         return self.comparison.conditions(changed(self.robot, [self.listed]))
 
+    def condition_units(self) -> list[ConditionUnits]:
+        """Of each channel's joint; loads are in the channel's unit where it is no position."""
+        joint_names = [name.rpartition(".")[2] for name in self.comparison.names]
+        joint_indices = [self.robot.joints.index(name) for name in joint_names]
+        load_units = self.comparison.units
+        if self.motion.external:
+            load_units = tuple(self.robot.torque_units[j] for j in joint_indices)
+        return [
+            ConditionUnits(name, position, f"{position}/s", load, f"{position}/s²")
+            for name, j, load in zip(self.comparison.names, joint_indices, load_units, strict=True)
+            for position in (self.robot.position_units[j],)
+        ]
+
     def compared_columns(self, column: Array) -> Array:
         """A function (R, C) of the conditions as the comparison takes it, (Q, C) in floors."""
         return self.comparison.compared(column)
@@ -211,7 +244,7 @@ class RobotSystem(System):
                 comparison.moved(change), comparison.moved(nominal_change), strict=True
             )
             position, speed = (altered - nominal for altered, nominal in moved_pairs)
-            usual = Conditions(usual.position + position, usual.speed + speed, usual.load)
+            usual = usual._replace(position=usual.position + position, speed=usual.speed + speed)
         elif (gain == 1.0).all():
             return None
         return Altered(usual, gain)
@@ -453,13 +486,13 @@ def diagnose(
     if reference is not None:
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
-        system = system.with_listed(healthy.tolerances)
+        system = system.with_listed(healthy.known)
     diagnosis = diagnose_system(system, progress, workers, began_s, healthy, announce)
-    tolerances = {} if healthy is None else healthy.tolerances
+    known = {} if healthy is None else healthy.known
     return RobotDiagnosis(
         system=system,
         verdict=diagnosis.verdict.model_copy(update={"earlier": earlier}),
-        amended={**diagnosis.values, **added(diagnosis.tolerances, tolerances)},
+        amended=added(added(diagnosis.values, diagnosis.tolerances), known),
         before=diagnosis.nominal * system.comparison.noise,
         after=diagnosis.held_out * system.comparison.noise,
         findings=(

@@ -125,7 +125,7 @@ def diagnose(
     else:
         from cablesense_gap.report.next_step import Given, robot_next_step
         from cablesense_gap.report.page import write_robot_diagnosis
-        from cablesense_gap.report.text import earlier_sentence, headline
+        from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_recording
         from cablesense_gap.robot.system import diagnose as make
@@ -163,7 +163,8 @@ def diagnose(
         verdict = diagnosis.verdict
         findings = [text for text in diagnosis.findings if text not in recorded.notes]
         earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
-        lines = [*findings, headline(verdict), *earlier, *verdict.doubts]
+        lines = [*findings, headline(verdict), *earlier]
+        lines += [line for line in (coverage_sentence(verdict), *verdict.doubts) if line]
         lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
@@ -196,7 +197,7 @@ def _diagnosed_arm(
     from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.report.next_step import Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
-    from cablesense_gap.report.text import earlier_sentence, headline
+    from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
     from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
     from cablesense_sim.arm import find_arm, load_arm
@@ -222,6 +223,7 @@ def _diagnosed_arm(
     given = Given(str(recording), arm, str(out))
     write_diagnosis(out, diagnosis, given=given)
     lines = [*recorded.notes, headline(diagnosis.verdict)]
+    lines += [line for line in (coverage_sentence(diagnosis.verdict),) if line]
     lines += [*map(earlier_sentence, diagnosis.verdict.earlier)]
     if len(diagnosis.recording) < len(recorded):
         lines.append(f"Used: {len(diagnosis.recording):,} of {len(recorded):,} rows")

@@ -70,8 +70,8 @@ def torques(position, speed, acceleration, friction=(0.0, 0.0), armature=(0.0, 0
     return torque + np.array(friction) * np.sign(speed) + np.array(armature) * acceleration
 
 
-def motion(rng, seconds=4.0):
-    """Times, positions, speeds and accelerations of a sum of sines."""
+def motion(rng, seconds=4.0, home=(0.0, 0.0)):
+    """Times, positions, speeds and accelerations of a sum of sines about a pose."""
     time_s = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     course = np.zeros((3, len(time_s), 2))
     for joint in range(2):
@@ -82,15 +82,18 @@ def motion(rng, seconds=4.0):
             course[:, :, joint] += (
                 0.3 * size * np.array([np.sin(phase), w * np.cos(phase), -w * w * np.sin(phase)])
             )
+    course[0] += home
     return time_s, *course
 
 
-def recorded(path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, **planted):
+def recorded(
+    path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, home=(0.0, 0.0), **planted
+):
     """A CSV of the pendulum with encoders of 0.1 mrad."""
     rng = np.random.default_rng(seed)
     tables = []
     for trial in range(trials):
-        time_s, position, speed, acceleration = motion(rng)
+        time_s, position, speed, acceleration = motion(rng, home=home)
         torque = read(torques(position, speed, acceleration, **planted))
         columns = {"time_s": time_s + 10.0 * trial, "trial": trial}
         for j, joint in enumerate(JOINTS):
@@ -99,6 +102,25 @@ def recorded(path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01,
             columns[f"torque.{joint}"] = torque[:, j] + rng.normal(0.0, noise_n_m, len(time_s))
         tables.append(pd.DataFrame(columns))
     pd.concat(tables).to_csv(path, index=False)
+    return path
+
+
+def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
+    """A recording of a pendulum with a cable harness, and bearings that are rough in places.
+
+    At the shoulder an encoder's zero and a torque's scale may be off.
+    """
+    recorded(path, seed=seed, **planted)
+    table = pd.read_csv(path)
+    for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
+        position = table[f"position.{joint}"]
+        speed = table[f"velocity.{joint}"]
+        harness = 2.0 * (position - 0.1) + 6.0 * (position - 0.1) ** 3 + np.sin(11.0 * position)
+        rough = (1.0 + np.sin(5.0 * position)) * np.sign(speed)
+        table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
+    table["position.shoulder"] += zero_rad
+    table["torque.shoulder"] *= gain
+    table.to_csv(path, index=False)
     return path
 
 

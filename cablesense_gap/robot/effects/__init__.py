@@ -38,6 +38,7 @@ class RobotEffect(EffectDescription):
             those whose torques are currents without one.
         of_currents: whether it is at the latter alone.
         of_servos: whether it shows only where motion is compared with the commands of servos.
+        adds_up: whether its numbers at one place add up over lists of effects, as one cause.
     """
 
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
@@ -51,6 +52,7 @@ class RobotEffect(EffectDescription):
     of_servos: ClassVar[bool] = False
     of_gains: ClassVar[bool] = False
     of_currents: ClassVar[bool] = False
+    adds_up: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Places of a robot that the effect can be in, by name."""

@@ -124,10 +124,14 @@ class LinkCentre(RobotEffect):
 
 
 class AddedMass(RobotEffect):
-    """A point mass fixed to a body: a tool, a camera, a cable chain."""
+    """A point mass fixed to a body: a tool, a camera, a cable chain.
+
+    Beside one that the robot lists, a negative one is what was taken off it.
+    """
 
     name = "payload"
     at = "bodies"
+    adds_up = True
     about = "mass that nobody modelled"
     source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13"
     advice = "Weigh the additions there: tools, cameras, covers, cables."

@@ -16,26 +16,7 @@ from cablesense_gap.verdict import read_verdict
 from cablesense_gap.watch import SeriesError
 from cablesense_recording.recording import RecordingError
 from cablesense_ros.cli.app import app
-from tests.helpers.two_link import JOINTS, recorded, write_model
-
-
-def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
-    """A recording of a pendulum with a cable harness, and bearings that are rough in places.
-
-    At the shoulder an encoder's zero and a torque's scale may be off.
-    """
-    recorded(path, seed=seed, **planted)
-    table = pd.read_csv(path)
-    for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
-        position = table[f"position.{joint}"]
-        speed = table[f"velocity.{joint}"]
-        harness = 2.0 * (position - 0.1) + 6.0 * (position - 0.1) ** 3 + np.sin(11.0 * position)
-        rough = (1.0 + np.sin(5.0 * position)) * np.sign(speed)
-        table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
-    table["position.shoulder"] += zero_rad
-    table["torque.shoulder"] *= gain
-    table.to_csv(path, index=False)
-    return path
+from tests.helpers.two_link import worn, write_model
 
 
 @pytest.mark.slow
@@ -93,7 +74,7 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
     }
 
     def left(name, values, **more):
-        again = system(name, 3, **more).with_listed(reference.tolerances)
+        again = system(name, 3, **more).with_listed(reference.known)
         problem = problem_of(again)
         since_then = problem_since(problem, reference.expected(again, problem))
         predicted = since_then.simulator.predict([values])[0]

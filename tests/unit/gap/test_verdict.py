@@ -76,6 +76,7 @@ def none_with(probability: float) -> dict[str, Any]:
         ({"effects": ["payload", "payload"]}, "each once"),
         ({"effects": ["none", "payload"]}, "none must stand alone"),
         ({"effects": ["payload", "unknown"]}, "unknown must stand alone"),
+        ({"effects": ["cannot_tell", "payload"]}, "cannot_tell must stand alone"),
         ({"effects": "payload"}, "effects"),
         ({"probability": 1.2}, "probability"),
         ({"probability": "0.9"}, "probability"),
