@@ -169,7 +169,6 @@ CONSTANTS = (
     Constant(nuisance, "_SAME_OF_STD", 0.0),
     Constant(nuisance, "_MOST_OFF", np.inf),
     Constant(nuisance, "_STEPS_ANEW", fitting.MOST_STEPS),
-    Constant(probability, "_EQUAL", 1.0),
     Constant(probability, "PARALLEL", 1.1),
     Constant(probability, "_SEVERAL_LEFT", 0.0),
     Constant(probability, "_NEEDED_COST_RATIO", 1.0),
@@ -178,7 +177,6 @@ CONSTANTS = (
 `NEAR_BEST`, which is for the report, and the share of the progress."""
 
 OF_HISTORY = (
-    Constant(search, "_HISTORY_SHARE", 0.0),
     Constant(search, "_SUBSAMPLE_RIVAL_COST_RATIO", np.inf),
     Constant(fitting, "_CONVERGED_SHARE", 0.0),
     Constant(fitting, "_LEAST_START", 1e-3),

@@ -40,6 +40,9 @@ STATED = LawOutput._fields[: LawOutput._fields.index("fault_n") + 1]
 _AGAIN = 2
 """Times that an observation is made again, linear about the contact that it says."""
 
+_WORSE = 10.0
+"""It is not taken where its contact leaves χ² by this much larger: it led away."""
+
 _OF_FORCE = ("force_n", "magnitude_ci95_n", "moment_n_m", "moment_std_n_m", "fault_n")
 """Outputs that scale with force."""
 
@@ -90,8 +93,14 @@ class MachineLaw:
             ]
             if all(new is None for new in again):
                 break
-            observed = [new or seen for new, seen in zip(again, observed, strict=True)]
-            stated = self._stated(observed)
+            renewed = [new or seen for new, seen in zip(again, observed, strict=True)]
+            restated = self._stated(renewed)
+            keeps = restated["contact_chi2"] > stated["contact_chi2"] + _WORSE
+            observed = [
+                old if keep else new
+                for old, new, keep in zip(observed, renewed, keeps, strict=True)
+            ]
+            stated = self._stated(observed) if keeps.any() else restated
         parts = Observation._make(np.stack(column) for column in zip(*observed, strict=True))
         return LawOutput(
             **stated,

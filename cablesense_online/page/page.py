@@ -137,8 +137,8 @@ class Page:
         def fit(_: viser.CameraHandle) -> None:
             nonlocal fitted
             same_shape = abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted
-            home_m, _ = view(self._arm_length_m, camera.aspect)
-            off_m = np.abs(camera.position - wide_m).max()
+            home_m = view(self._arm_length_m, camera.aspect)[0]
+            off_m = np.abs(np.asarray(camera.position) - wide_m).max()
             was_reset = off_m < _SAME_VIEW * self._arm_length_m
             if same_shape and (not was_reset or np.allclose(home_m, wide_m)):
                 return

@@ -92,7 +92,7 @@ def test_the_verb_prints_a_table_or_json(tmp_path):
     command = ["gap", "score", str(tmp_path), "--answers", str(answers)]
     table = CliRunner().invoke(app, command)
     assert table.exit_code == 0, table.output
-    assert "singles_exact" in table.output
+    assert "singles exact" in table.output
     result = CliRunner().invoke(app, [*command, "--json"])
     figures = json.loads(result.stdout)
     assert figures["exact"]["value"] == 0.5

@@ -144,8 +144,8 @@ def test_a_model_that_statics_do_not_know_is_refused(
 
 def test_controls_of_a_servo_with_its_own_scale_are_taken_as_such(tmp_path: Path) -> None:
     """Of a servo with 50 u - 1e4 g l, a length l just leaves the tendon slack at u = 200 g l."""
-    law = 'gainprm="50" biastype="affine" biasprm="0 -1e4"'
-    servo = f'<general name="drive" tendon="cable" gear="2" {law}/>'
+    affine = 'gainprm="50" biastype="affine" biasprm="0 -1e4"'
+    servo = f'<general name="drive" tendon="cable" gear="2" {affine}/>'
     model = MODEL.replace('<position name="drive" tendon="cable" kp="1e4"/>', servo)
     machine = open_machine(opened(tmp_path, model=model))
     assert machine.tendons.gear.tolist() == [400.0, 1.0]
