@@ -192,7 +192,6 @@ OF_A_REFERENCE = (
     Constant(discrepancy, "_SLIDING_WAVES", 0),
     Constant(discrepancy, "_SLOW", (1.0, 1.0)),
     Constant(discrepancy, "_MARGIN", NO_END),
-    Constant(discrepancy, "_CORRELATED", 1.0),
     Constant(discrepancy, "_ITERATIONS", 1),
     Constant(discrepancy, "_FIRST_SCATTER", 1.0),
     Constant(discrepancy, "_LEAST_FREE", 0.0),
