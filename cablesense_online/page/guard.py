@@ -9,8 +9,8 @@ on this machine would have the controls of the arm. Here a request needs
   There the name of the visitor follows, a random one of each tab, by which a reload is known.
 
 From a browser that passes, viser gets the camera, values of controls, each a finite number or the
-number of a segment as text, and clicks on the arm. Uploads, requests to share the page and other
-properties are dropped. The first bad value of a browser is logged.
+number of a segment as text, and clicks and drags on the arm. Uploads, requests to share the page
+and other properties are dropped. The first bad value of a browser is logged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from contextvars import ContextVar
 from dataclasses import replace
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
@@ -48,6 +48,8 @@ PING_EVERY_S = 5.0
 """How often a browser is asked whether it is there: twice in `SILENT_S`."""
 SILENT_S = 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
+_FARTHEST_M = 1e3
+"""How far from the base a drag may lead: no arm is as long."""
 _PORT_TRIES = 20
 """Ports that are tried in turn where the first is in use."""
 _VISITOR = re.compile(r"[A-Za-z0-9-]{1,64}")
@@ -238,7 +240,26 @@ class _Click(msgspec.Struct, tag_field="type", tag="SceneNodeClickMessage"):
     owner: _Short = ""
 
 
-_MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update | _Click)
+_Near = Annotated[float, msgspec.Meta(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+_Point = tuple[_Near, _Near, _Near]
+
+
+class _Drag(msgspec.Struct, tag_field="type", tag="SceneNodeDragMessage"):
+    """The mouse drags a part of the scene from a point to another, in metres."""
+
+    phase: Literal["start", "update", "end"]
+    name: _Short
+    start_position: _Point
+    end_position: _Point
+    start_screen_pos: tuple[float, float]
+    end_screen_pos: tuple[float, float]
+    instance_index: None
+    button: Literal["left"]
+    modifier: None
+    owner: _Short = ""
+
+
+_MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update | _Click | _Drag)
 
 
 class _BrowserConnection(ServerConnection):
@@ -268,4 +289,6 @@ def _fault(message: str | bytes) -> str | None:
             return f"{value} is not finite"
         case _Click() if not all(map(math.isfinite, (*read.ray_origin, *read.ray_direction))):
             return "a click from or in a direction that is not finite"
+        case _Drag() if not all(map(math.isfinite, (*read.start_position, *read.end_position))):
+            return "a drag from or to a point that is not finite"
     return None

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 import viser
 
+from cablesense_msgs_py.messages import Contact
 from cablesense_online.page.guard import free_port, guarded_server, present_visitor
 from cablesense_online.page.panel import (
     Actions,
@@ -21,7 +22,7 @@ from cablesense_online.page.panel import (
     html,
     tension_trace,
 )
-from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, view
+from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, Mouse, view
 from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -62,7 +63,7 @@ class Page:
         self._actions = actions
         self._force_limit_n = contact_range_n(arm)
         self._cable_lines = cable_lines(arm.cable_names, mechanism)
-        self._reach_m = touched_places(arm).touched_m
+        self._places = touched_places(arm)
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = guarded_server(host, free_port(host, port), token)
         server = self._server
@@ -81,7 +82,8 @@ class Page:
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
         end_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
         arrows = Arrows(float(end_m), self._force_limit_n)
-        self._scene = ArmScene(server.scene, mechanism, arrows, self._touch if actions else None)
+        mouse = Mouse(self._touch, self._pull) if actions else None
+        self._scene = ArmScene(server.scene, mechanism, arrows, mouse)
         self._arm_length_m = arrows.reach_m
         # where "Reset View" of the viewer's menu leads
         server.initial_camera.position, server.initial_camera.look_at = view(arrows.reach_m, _WIDE)
@@ -131,7 +133,7 @@ class Page:
         wide window.
         """
         camera = client.camera
-        wide_m, _ = view(self._arm_length_m, _WIDE)
+        wide_m = view(self._arm_length_m, _WIDE)[0]
         fitted = 0.0
 
         def fit(_: viser.CameraHandle) -> None:
@@ -210,7 +212,7 @@ class Page:
                 self._actions,
                 self._joints_deg,
                 self._force_limit_n,
-                self._reach_m,
+                self._places,
             )
 
     def _touch(self, client: int, segment: int, place_m: float) -> None:
@@ -218,6 +220,12 @@ class Page:
         with self._lock:
             if self._controls is not None and client == self._commander:
                 self._controls.touch(segment, place_m)
+
+    def _pull(self, client: int, contact: Contact | None) -> None:
+        """Somebody drags the arm with the mouse; who commands pulls it."""
+        with self._lock:
+            if self._controls is not None and client == self._commander:
+                self._controls.pull(contact)
 
     def _reset_errors(self) -> None:
         with self._lock:

@@ -26,6 +26,7 @@ from cablesense_online.page.snapshot import (
     segment_rgb,
 )
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.touch import TouchedPlaces
 
 JOINT_LIMIT_DEG = 20.0
 """Largest angle that the sliders offer."""
@@ -71,16 +72,19 @@ class Controls:
         actions: Actions,
         joints_deg: list[float],
         force_limit_n: float,
-        reach_m: Array,
+        places: TouchedPlaces,
     ) -> None:
         """`joints_deg` (2N,) is where the joints' sliders begin; it is kept up to date.
 
-        `reach_m` (N, 2) is where each segment can be touched, from its joint centre.
+        `places` says where each segment can be touched, and how far a drag can go along it.
         """
         self._actions = actions
         self._joints_deg = joints_deg
+        reach_m = places.touched_m
         self._reach_m = reach_m
+        self._friction = places.friction
         self._pushing = False
+        self._pulled = False
         self._closed = False
         self._lock = threading.RLock()
         segments = [str(n) for n in range(1, mechanism.segment_count + 1)]
@@ -152,7 +156,7 @@ class Controls:
         """Let go of the arm; nothing that is still under way from the browser does anything."""
         with self._lock:
             self._closed = True
-            if self._pushing:
+            if self._pushing or self._pulled:
                 self._actions.push(NO_CONTACT, False)
 
     def offer(self) -> None:
@@ -174,6 +178,44 @@ class Controls:
                 self._place.value = round(1e3 * within_m)  # type: ignore[misc]
                 self._send_push()
 
+    def pull(self, contact: Contact | None) -> None:
+        """Push as a drag on the arm says, until None ends it.
+
+        The force is brought into the sliders' ranges; along the segment it is at most what
+        friction carries. The sliders show it. A push of the button goes on after the drag.
+        """
+        with self._lock:
+            if self._closed:
+                return
+            if contact is None:
+                self._pulled = False
+                self._send_push(released=not self._pushing)
+                return
+            self._pulled = True
+            within_m = float(np.clip(contact.contact_m, *self._reach_m[contact.segment - 1]))
+            newtons = min(contact.magnitude_n, self._newtons.max)
+            carried_n = self._friction * newtons if self._friction else math.inf
+            most_n = min(carried_n, self._along.max)
+            along_n = min(max(contact.along_n, -most_n), most_n)
+            pull = contact._replace(contact_m=within_m, magnitude_n=newtons, along_n=along_n)
+            self._show_push(pull)
+            self._actions.push(pull, bool(self._beside.value))
+
+    def _show_push(self, push: Contact) -> None:
+        """Sets the sliders to a push, as near as their steps allow."""
+        step_deg = self._angle.step
+        self._segment.value = str(push.segment)  # type: ignore[misc]  # as in `_go_home`
+        for slider, value in (
+            (self._place, 1e3 * push.contact_m),
+            (self._angle, step_deg * round(push.angle_deg / step_deg) % 360),
+            (self._newtons, push.magnitude_n),
+            (self._along, push.along_n),
+        ):
+            steps = round((value - slider.min) / slider.step)
+            shown = slider.min + steps * slider.step
+            if slider.value != shown:
+                slider.value = shown  # type: ignore[misc]
+
     def _on(self, register: Callable[[Any], object], act: Callable[[], object]) -> None:
         """Lets a browser act: one thing at a time, as viser calls from many threads."""
 
@@ -192,14 +234,15 @@ class Controls:
 
     def _send_push(self, released: bool = False) -> None:
         """The push as the sliders stand, while the button is down; 0 N once it is released."""
-        if (self._pushing or released) and self._segment.value in self._segment.options:
+        if released:
+            self._actions.push(NO_CONTACT, False)
+        elif self._pushing and self._segment.value in self._segment.options:
             segment = int(self._segment.value)
             place_m = float(np.clip(1e-3 * _within(self._place), *self._reach_m[segment - 1]))
             force_n = _within(self._newtons)
             along_n = _within(self._along)
             contact = Contact(segment, _within(self._angle), force_n, place_m, along_n)
-            beside = not released and bool(self._beside.value)
-            self._actions.push(NO_CONTACT if released else contact, beside)
+            self._actions.push(contact, bool(self._beside.value))
 
     def _send_command(self) -> None:
         self._joints_deg[:] = [_within(joint) for joint in self._joints]

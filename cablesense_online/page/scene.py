@@ -68,8 +68,23 @@ _REGION_SHARE = 1.35
 """Radius of the band of a contact's place, over that of the body."""
 _REGION_OPACITY = 0.5
 """Of this band: the body stays visible."""
-Touched = Callable[[int, int, float], None]
-"""Takes a client, the segment, from 1, and the place on its axis, m from its joint centre."""
+
+
+@dataclass(frozen=True)
+class Mouse:
+    """What a browser's mouse does on the arm.
+
+    Attributes:
+        touched: by a click. Takes a client, the segment, from 1, and the place on its axis, m from
+            its joint centre.
+        pulled: by a drag. Takes a client and the contact whose force the drag stands for; None at
+            its end.
+    """
+
+    touched: Callable[[int, int, float], None]
+    pulled: Callable[[int, Contact | None], None]
+
+
 _Place = tuple[float, float, float]
 _Anchor = Literal["center-center", "bottom-center", "top-center", "bottom-left", "bottom-right"]
 
@@ -89,6 +104,11 @@ class Arrows:
         """Within what can be seen and fits the view."""
         share = 0.75 * np.asarray(magnitude_n) / self.strongest_n
         return self.reach_m * np.clip(share, 0.1, 0.85)
+
+    @property
+    def newtons_per_m(self) -> float:
+        """The force of a metre, as far as arrows are neither the shortest nor the longest."""
+        return self.strongest_n / (0.75 * self.reach_m)
 
     @property
     def apart_m(self) -> float:
@@ -190,6 +210,25 @@ def place_m(joint_m: Array, axis: Array, ray_origin: Array, ray_direction: Array
         return float((ray_origin - joint_m) @ aside / (aside @ axis))
 
 
+def pulled_contact(
+    segment: int, joint_m: Array, axis: Array, at_command: Array, ends_m: Array, arrows: Arrows
+) -> Contact:
+    """The contact that pulls a segment, 1 … N, from one point to another.
+
+    Args:
+        segment: that is pulled.
+        joint_m: (3,) its joint centre, base frame, as the following ones.
+        axis: (3,) of the segment, a unit vector.
+        at_command: (3, 3) its rotation at the commanded pose, in whose axes contacts are.
+        ends_m: (2, 3) where the segment is held, and where to.
+        arrows: say how many newtons a length is.
+    """
+    (held_m, towards_m) = ends_m
+    force_n = arrows.newtons_per_m * (towards_m - held_m)
+    place_m = float((held_m - joint_m) @ axis)
+    return Contact.of_force(segment, (force_n @ at_command).tolist(), place_m)
+
+
 VIEW_ANGLE_RAD = 0.75
 """Height of the view."""
 _SIDE_VIEW = np.array([0.36, -1.66, 0.74])
@@ -219,15 +258,17 @@ class ArmScene:
         scene: viser.SceneApi,
         mechanism: Mechanism,
         arrows: Arrows,
-        touched: Touched | None = None,
+        mouse: Mouse | None = None,
     ) -> None:
-        """`touched` is called by a click on a segment."""
+        """Without a `mouse` the arm is only shown."""
         self._arrows = arrows
         reach_m = arrows.reach_m
         self._scene = scene
         self._mechanism = mechanism
-        self._touched = touched
+        self._mouse = mouse
+        self._dragging: set[int] = set()  # clients
         self._pose_rad = np.zeros(mechanism.joint_count)
+        self._command_rad = self._pose_rad
         self._radius_m = routing_radius_m(mechanism)
         self._clearance_m = 1.1 * _BODY_SHARE * self._radius_m
         square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * reach_m))))
@@ -296,6 +337,7 @@ class ArmScene:
             rgb = linear_rgb(tension_rgb(snapshot.tensions_n, full_scale_n))
             self._cables.colors = np.repeat(rgb[self._piece_cable][:, None], 2, axis=1)
         self._pose_rad = pose
+        self._command_rad = snapshot.command_rad
         axes = rotations[:, :, 0]
         aside_m = 0.5 * self._arrows.apart_m
         at_command = segment_rotations(self._mechanism, snapshot.command_rad)
@@ -369,20 +411,41 @@ class ArmScene:
         parts = (("neck", 0.45 * radius_m, length_m), ("body", radius_m, body_m))
         for part, thick_m, long_m in parts:
             handle = self._add_disc(f"{name}/{part}", length_m / 2, thick_m, long_m, _BODY_RGB)
-            if self._touched is not None:
-                handle.on_click(partial(self._on_click, self._touched, segment))
+            if self._mouse is not None:
+                handle.on_click(partial(self._on_click, self._mouse, segment))
+                handle.on_drag("left")(partial(self._on_drag, self._mouse, segment))
         self._add_plates(name, segment)
         place_m = (float(self._mechanism.contact_m[segment - 1]), 0.0, -1.9 * self._radius_m)
         self._add_label(f"{name}/label", f"segment {segment}", place_m, "top-center")
         return frame
 
-    def _on_click(self, touched: Touched, segment: int, event: Any) -> None:
+    def _on_click(self, mouse: Mouse, segment: int, event: Any) -> None:
         pose = chain(self._mechanism, self._pose_rad)
         n = segment - 1
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
         at_m = place_m(pose.joint_m[n], pose.rotation[n, :, 0], *ray)
         if math.isfinite(at_m):
-            touched(event.client_id, segment, at_m)
+            mouse.touched(event.client_id, segment, at_m)
+
+    async def _on_drag(self, mouse: Mouse, segment: int, event: Any) -> None:
+        """Not in a thread, where an update could overtake start or end."""
+        client = event.client_id
+        if event.phase == "start":
+            self._dragging.add(client)
+        elif client not in self._dragging:
+            return
+        if event.phase == "end":
+            self._dragging.remove(client)
+            mouse.pulled(client, None)
+            return
+        pose = chain(self._mechanism, self._pose_rad)
+        at_command = segment_rotations(self._mechanism, self._command_rad)
+        n = segment - 1
+        ends_m = np.array([event.start_position, event.end_position])
+        contact = pulled_contact(
+            segment, pose.joint_m[n], pose.rotation[n, :, 0], at_command[n], ends_m, self._arrows
+        )
+        mouse.pulled(client, contact)
 
     def _add_plates(self, name: str, segment: int) -> None:
         radius_m = PLATE_MARGIN * self._radius_m

@@ -122,6 +122,11 @@ class Tab:
         time.sleep(seconds)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key)
 
+    def mouse(self, kind, x, y, *, held=True):
+        """Move, press or release the left button at a point of the page, px."""
+        button = {"button": "left" if held else "none", "buttons": int(held), "clickCount": 1}
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
+
     def screenshot(self):
         return base64.b64decode(self.call("Page.captureScreenshot", optimizeForSpeed=True)["data"])
 
@@ -251,6 +256,11 @@ def at_rest(browser):
     browser.wait_for(f"{STATUS} === 'No contact'", "an arm at rest")
 
 
+SCENE_RECT = (
+    "(() => { const r = [...document.querySelectorAll('canvas')]"
+    ".map(c => c.getBoundingClientRect()).sort((a, b) => b.height - a.height)[0];"
+    " return [r.left, r.top, r.width, r.height]; })()"
+)
 SLIDER_VALUE = "document.activeElement.getAttribute('aria-valuenow')"
 CUT_OFF = "[...document.querySelectorAll('.cablesense')].some(e => e.scrollWidth > e.clientWidth)"
 
@@ -427,6 +437,32 @@ def test_the_keys_of_a_slider_move_no_camera_and_the_home_view_leads_back(browse
     eventually(moved, lambda share: share > 0.05, "the camera's own keys")
     browser.click_button("Home view")
     eventually(moved, lambda share: share < 0.01, "the view is not that of the beginning")
+
+
+def test_the_mouse_drags_a_force_on_the_arm(browser, at_rest):
+    browser.resize(1280, 800)
+    try:
+        browser.click_button("Home view")
+        time.sleep(2.0)
+        left, top, width, height = browser.evaluate(SCENE_RECT)
+        # the home view looks at a point of segment 3, a little below its axis
+        x = left + 0.5 * width
+        y = top + 0.482 * height
+        browser.mouse("mouseMoved", x, y, held=False)
+        browser.mouse("mousePressed", x, y)
+        for up_px in range(5, 85, 5):
+            browser.mouse("mouseMoved", x, y - up_px)
+        pulled = wait_for_cells(browser, "true", lambda row: row[:1] == ["3"] and row[3] != "0.0")
+        _, place_mm, angle_deg, force_n, _ = pulled
+        assert 20.0 < float(place_mm) < 60.0
+        assert 5.0 < float(angle_deg) < 45.0, "up in the picture is up, and away from the eye"
+        assert 5.0 < float(force_n) < 100.0
+        wait_for_cells(browser, "estimated", lambda row: row[:1] == ["3"])
+        browser.mouse("mouseReleased", x, y - 80)
+        wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
+        assert not browser.has_button("Release")
+    finally:
+        browser.resize(WIDTH, HEIGHT)
 
 
 def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):

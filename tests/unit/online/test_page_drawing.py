@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
 
 from cablesense_online.page.panel import (
     TraceBuffer,
@@ -18,7 +19,7 @@ from cablesense_online.page.panel import (
     known_text,
     places_text,
 )
-from cablesense_online.page.scene import Arrows, arrow_m, cable_pieces, place_m
+from cablesense_online.page.scene import Arrows, arrow_m, cable_pieces, place_m, pulled_contact
 from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -74,6 +75,22 @@ def test_a_ray_through_the_axis_meets_it_at_its_place(along_m, eye, turn):
     ray = CONTACT + along_m * axis - eye
     assume(np.linalg.norm(np.cross(ray, axis)) > 0.01)
     assert place_m(CONTACT, axis, eye, 3.0 * ray) == pytest.approx(along_m, abs=1e-6)
+
+
+@given(pull_m=arrays(float, 3, elements=st.floats(-0.4, 0.4)), along_m=st.floats(0.0, 0.13))
+def test_a_drag_pulls_where_the_segment_is_held_by_the_force_of_as_long_an_arrow(pull_m, along_m):
+    at_command = Rotation.from_euler("yz", [0.1, -0.2]).as_matrix()
+    as_measured = Rotation.from_euler("yz", [0.12, -0.19]).as_matrix()
+    axis = as_measured[:, 0]
+    held_m = CONTACT + along_m * axis + 0.02 * as_measured[:, 2]  # on the surface
+    ends_m = np.stack([held_m, held_m + pull_m])
+    contact = pulled_contact(2, CONTACT, axis, at_command, ends_m, ARROWS)
+    assert contact.segment == 2
+    assert contact.contact_m == pytest.approx(along_m)
+    force_n = at_command @ contact.wrench[:3]
+    np.testing.assert_allclose(force_n, 200.0 / 0.375 * pull_m, atol=1e-9)
+    if 0.1 < np.linalg.norm(pull_m) < 0.4:
+        assert ARROWS.length_m(np.linalg.norm(force_n)) == pytest.approx(np.linalg.norm(pull_m))
 
 
 @pytest.mark.parametrize(

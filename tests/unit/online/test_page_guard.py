@@ -1,6 +1,7 @@
 """The page against others than its user: raw requests, raw messages, and who commands."""
 
 import http.client
+import math
 import socket
 from dataclasses import replace
 from urllib.parse import urlsplit
@@ -383,6 +384,87 @@ def test_a_reset_on_a_phone_shows_the_whole_arm_too(commander):
     until(lambda: commander.read().camera_m, "the view after a reset")
     assert commander.camera_m == pytest.approx(on_phone_m)
     assert np.linalg.norm(on_phone_m) > 1.5 * np.linalg.norm(commander.reset_camera_m)
+
+
+def drag(phase, pull_m=(0.0, 0.0, 0.0)):
+    """Of segment 3 of the straight arm, 50 mm from its joint, by a vector."""
+    held_m = np.array([mechanism_of(ARM).joint_position_straight_m[2] + 0.05, -0.017, 0.0])
+    return {
+        "type": "SceneNodeDragMessage",
+        "phase": phase,
+        "name": "/arm/segment_3/body",
+        "instance_index": None,
+        "start_position": tuple(held_m.tolist()),
+        "start_screen_pos": (0.5, 0.5),
+        "end_position": tuple((held_m + pull_m).tolist()),
+        "end_screen_pos": (0.5, 0.5),
+        "button": "left",
+        "modifier": None,
+        "owner": "",
+    }
+
+
+ARM_M = float(mechanism_of(ARM).joint_position_straight_m[-1]) + 0.13
+PULL_M_PER_N = 0.75 * ARM_M / FORCE_LIMIT_N
+"""The arrow of the strongest force is three quarters as long as the arm."""
+
+
+def test_a_drag_on_the_arm_pulls_it_until_the_mouse_lets_go(asked, visit, commander):
+    watcher = visit()
+    until(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
+    for phase in ("start", "update", "end"):
+        watcher.send(drag(phase, (0.0, 0.0, 0.1)))
+    commander.send(drag("start"))
+    commander.send(drag("update", (0.0, 30.0 * PULL_M_PER_N, 40.0 * PULL_M_PER_N)))
+    until(lambda: len(asked) == 2, "the pull")
+    for wrong in (
+        {"start_position": (np.nan, 0.0, 0.0)},
+        {"end_position": (0.0, np.inf, 0.0)},
+        {"end_position": (0.0, 0.0, 1e9)},
+        {"end_position": (0.0, 0.0)},
+        {"button": "right"},
+        {"modifier": "shift"},
+        {"phase": "middle"},
+        {"name": "/arm/segment_9/body"},
+    ):
+        commander.send(drag("update", (0.0, 0.0, 0.2)) | wrong)
+    commander.send(drag("update", (-9.0, 0.0, 90.0)))
+    commander.send(drag("end", (-9.0, 0.0, 90.0)))
+    commander.send(drag("update", (0.0, 0.0, 0.2)))
+    until(lambda: len(asked) >= 4, "the end")
+    commander.put("Tare", True)
+    until(lambda: asked[-1] == ("tare",), "that nothing came after the end")
+    asked.pop()
+    (_, first, beside), (_, pulled, _), (_, strongest, _), released = asked
+    assert (first.segment, first.magnitude_n, beside) == (3, 0.0, False)
+    expected = Contact(3, math.degrees(math.atan2(3.0, 4.0)), 50.0, 0.05)
+    assert pulled[:5] == pytest.approx(expected[:5])
+    assert strongest[:3] == pytest.approx((3, 0.0, FORCE_LIMIT_N))
+    # friction carries no more along a segment
+    assert strongest.along_n == pytest.approx(-touched_places(ARM).friction * FORCE_LIMIT_N)
+    assert released == ("push", NO_CONTACT, False)
+
+
+def test_after_a_drag_the_push_of_the_button_goes_on_with_what_was_dragged(asked, commander):
+    commander.put("Push", True)
+    until(lambda: asked == [FIRST_PUSH], "the first push")
+    for phase in ("start", "update", "end"):
+        commander.send(drag(phase, (0.0, 0.0, -50.0 * PULL_M_PER_N)))
+    until(lambda: len(asked) == 4, "the end")
+    (_, last, beside) = asked[-1]
+    assert last[:5] == pytest.approx((3, 180.0, 50.0, 0.05, 0.0))
+    assert not beside
+    commander.put("Push", True)
+    until(lambda: len(asked) == 5, "the release")
+    assert asked[-1] == ("push", NO_CONTACT, False)
+
+
+def test_who_leaves_in_a_drag_lets_go(asked, commander):
+    commander.send(drag("start"))
+    commander.send(drag("update", (0.0, 0.0, 0.05)))
+    until(lambda: len(asked) == 2, "the pull")
+    commander.close()
+    until(lambda: asked[-1] == ("push", NO_CONTACT, False), "the release")
 
 
 @pytest.mark.parametrize("offset_m", [0.002, 0.010, 0.015, 0.060])
