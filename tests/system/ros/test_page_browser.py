@@ -418,12 +418,27 @@ def test_floor_and_axes_can_be_seen(browser, at_rest):
 
 
 def test_the_keys_of_a_slider_move_no_camera_and_the_home_view_leads_back(browser, at_rest):
-    still = eventually(lambda: canvas_pixels(browser), drawn, "the canvas stayed empty")
+    left, _, width, _ = map(round, browser.evaluate(SCENE_RECT))
+
+    def scene():
+        """Pixels (H, W, 3) between the panels."""
+        image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+        return image[:, left + 10 : left + width - 10].astype(int)
+
+    still = scene()
 
     def moved():
         """Share of the picture that has changed."""
-        return (np.abs(canvas_pixels(browser) - still).max(axis=-1) > 40).mean()
+        return (np.abs(scene() - still).max(axis=-1) > 40).mean()
 
+    def stands_still():
+        """Whether arrows of a push before are gone, and the view of another window."""
+        nonlocal still
+        still = scene()
+        time.sleep(1.0)
+        return drawn(still) and moved() < 0.001
+
+    eventually(stands_still, bool, "the picture does not come to rest")
     set_at = browser.evaluate(SLIDER_VALUE)
     for _ in range(3):
         browser.press("angle, °", "ArrowLeft", held_s=0.3)
