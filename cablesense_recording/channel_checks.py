@@ -314,7 +314,9 @@ def _peaks(values: Array) -> NDArray[np.bool_]:
 def _off_the_motion(position: Array, trial: NDArray[np.int64]) -> Array:
     """(R,) how far parabolas through the rows before and from each row differ between these.
 
-    It is 0 where a trial has too few rows on either side.
+    Where a joint is hit between two rows, its position goes on with another speed: parabolas then
+    differ by half of what the speed has changed by, at most, and that does not count. It is 0
+    where a trial has too few rows on either side.
     """
     rows = len(position)
     off = np.zeros(rows)
@@ -322,12 +324,16 @@ def _off_the_motion(position: Array, trial: NDArray[np.int64]) -> Array:
         return off
     # p(x) = a + b x + c x^2 at x = 1/2, 3/2 … rows from the step; a is the value there
     away = np.arange(_BESIDE) + 0.5
-    at_step = np.linalg.pinv(np.vander(away, 3, increasing=True))[0]
+    at_step, speed_at_step, _ = np.linalg.pinv(np.vander(away, 3, increasing=True))
     windows = sliding_window_view(position, 2 * _BESIDE)
     before = windows[:, :_BESIDE] @ at_step[::-1]
     after = windows[:, _BESIDE:] @ at_step
+    speed_before = -windows[:, :_BESIDE] @ speed_at_step[::-1]
+    speed_after = windows[:, _BESIDE:] @ speed_at_step
+    by_hit = 0.5 * np.abs(speed_after - speed_before)
     together = trial[2 * _BESIDE - 1 :] == trial[: rows - 2 * _BESIDE + 1]
-    off[_BESIDE : rows - _BESIDE + 1] = np.abs(after - before) * together
+    apart = np.maximum(np.abs(after - before) - by_hit, 0.0)
+    off[_BESIDE : rows - _BESIDE + 1] = apart * together
     return off
 
 

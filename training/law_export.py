@@ -9,6 +9,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from cablesense_base import Array
 from cablesense_base.files import write_atomically
 from cablesense_base.installation import package_version
 from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
@@ -24,8 +25,11 @@ from cablesense_training.law.build import TorchLaw
 from cablesense_training.law.posterior import LARGEST_N
 from cablesense_training.law_check import require_sound
 
-AGREEMENT = 1e-6
+_AGREEMENT = 1e-6
 """Largest difference allowed between PyTorch and ONNX Runtime, as a share of the largest."""
+_INTERVALS = ("place_ci95_m", "region_m", "magnitude_ci95_n")
+_INTERVAL_AGREEMENT = 1e-5
+"""Of their ends, whose distributions are in single precision (see `law.statement`)."""
 
 _TRIAL_ROWS = 16
 """On which an exported law is compared with the original, of"""
@@ -106,12 +110,22 @@ def _require_agreement(estimator: nn.Module, model: onnx.ModelProto, trial: list
     with torch.no_grad():
         by_torch = estimator(*trial)
     for name, computed, expected in zip(LawOutput._fields, by_runtime, by_torch, strict=True):
-        if not np.isfinite(computed).all():
-            raise TrainingError(f"output {name} is not finite in ONNX Runtime")
-        scale = max(1.0, float(np.abs(computed).max()))
-        difference = float(np.abs(computed - expected.numpy()).max()) / scale
-        if not difference <= AGREEMENT:
-            raise TrainingError(
-                f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at "
-                f"most {AGREEMENT:g} is allowed"
-            )
+        require_agreement(name, computed, expected.numpy())
+
+
+def require_agreement(name: str, computed: Array, expected: Array) -> None:
+    """Compare an output of ONNX Runtime with PyTorch's.
+
+    Raises:
+        TrainingError: it is not finite, or they differ by more than rounding.
+    """
+    if not np.isfinite(computed).all():
+        raise TrainingError(f"output {name} is not finite in ONNX Runtime")
+    allowed = _INTERVAL_AGREEMENT if name in _INTERVALS else _AGREEMENT
+    scale = max(1.0, float(np.abs(computed).max()))
+    difference = float(np.abs(computed - expected).max()) / scale
+    if not difference <= allowed:
+        raise TrainingError(
+            f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at most "
+            f"{allowed:g} is allowed"
+        )

@@ -24,15 +24,12 @@ from cablesense_training.export import TRACED_ROWS, to_onnx
 from cablesense_training.law.evidence import Evidence
 from cablesense_training.law.machine import machine_statement
 from cablesense_training.law.statement import ContactStatement
-from cablesense_training.law_export import AGREEMENT
+from cablesense_training.law_export import require_agreement
 
 _TRIAL_ROWS = 12
 """On which an exported statement is compared with the original."""
 _PUSH_SHARE = 0.05
 """Of these the forces, as a share of the largest that is expected."""
-_INTERVALS = ("place_ci95_m", "region_m", "magnitude_ci95_n")
-_INTERVAL_AGREEMENT = 1e-5
-"""Of their ends, whose distributions are in single precision (see `law.statement`)."""
 
 
 class _Traced(torch.nn.Module):
@@ -103,13 +100,4 @@ def _require_agreement(
     with torch.no_grad():
         by_torch = statement(*(torch.as_tensor(trial[name]) for name in EVIDENCE))
     for name, computed, expected in zip(STATED, by_runtime, by_torch, strict=True):
-        if not np.isfinite(computed).all():
-            raise TrainingError(f"output {name} is not finite in ONNX Runtime")
-        scale = max(1.0, float(np.abs(computed).max()))
-        difference = float(np.abs(computed - expected.numpy()).max()) / scale
-        allowed = _INTERVAL_AGREEMENT if name in _INTERVALS else AGREEMENT
-        if not difference <= allowed:
-            raise TrainingError(
-                f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at "
-                f"most {allowed:g} is allowed"
-            )
+        require_agreement(name, computed, expected.numpy())

@@ -33,14 +33,15 @@ degrees = {name: value for name, value in given.items() if "_deg" in name}
 given |= {name.replace("_deg", "_rad"): np.deg2rad(value) for name, value in degrees.items()}
 settings = EstimationSettings.model_validate(given)
 loaded = load_model("cdsm_lab", "")
-estimation = Estimation(FeltArm(loaded.arm), loaded.contacts(settings), settings, 0.0)
+estimation = Estimation(loaded.machine, loaded.contacts(settings), settings, 0.0)
 message = JointState(name=list(loaded.arm.cable_names), effort=[100.0] * loaded.arm.cable_count)
 message.header.stamp.sec = 1
 answer = estimation.sample(bytes(serialize_message(message)), 1_000_000_000, 1.0)
 assert answer.stamp_ns == 1_000_000_000, answer
 leave_interpreted()
 known = estimation.state.unloaded.calibration
-assert ForceKnown(loaded.arm, loaded.model).half_interval_n(known) > 0.0
+force_known = ForceKnown(loaded.machine, loaded.model, loaded.reference_contacts)
+assert force_known.half_interval_n(known) > 0.0
 """
 CONDITION = "$CABLESENSE_ROBOT != 1"
 

@@ -43,7 +43,7 @@ def in_contract(name, nodes):
 
 def test_every_node_has_an_enclave_and_nothing_else_has():
     setup = (CHECKOUT / "setup.py").read_text(encoding="utf-8")
-    nodes = set(re.findall(r'"(\w+) = cablesense_ros\.\w+:main"', setup))
+    nodes = set(re.findall(r'"(\w+) = cablesense_ros\.programs:\w+"', setup))
     assert set(PROFILES) == nodes | set(OTHERS)
     for path, profile in PROFILES.items():
         assert profile.get("node") == OTHERS.get(path, path)

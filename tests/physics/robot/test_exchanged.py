@@ -89,8 +89,8 @@ def test_a_reversed_torque_is_found_behind_friction_that_dominates_it(robot):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"torque": lambda t: 1e3 * t}, "are about 1000 times the model's (mN·m or N·mm given?)"),
-        ({"torque": lambda t: 100.0 * t}, "are about 100 times the model's (N·cm given?)"),
+        ({"torque": lambda t: 1e3 * t}, "torque.shoulder, torque.elbow look like mN·m, not N·m"),
+        ({"torque": lambda t: 100.0 * t}, "torque.shoulder, torque.elbow look like N·cm, not N·m"),
         (
             {"position": lambda p: (p - 0.9) % (2.0 * np.pi) + 0.9},
             "jumps by a whole turn before row",

@@ -52,7 +52,7 @@ def test_the_command_in_the_file_makes_the_same_file(tmp_path):
 def test_table_without_terminal_has_no_progress_bar(tmp_path):
     result = run(tmp_path / "data.parquet", "--arm", "cdsm_table2")
     assert result.exit_code == 0, result.output
-    assert "contacts_per_segment" in result.stdout
+    assert "contacts per segment" in result.stdout
     assert "\x1b" not in result.output
     assert result.stderr == ""
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap import adaptation
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_nuisance import expected_parameters
@@ -133,7 +134,7 @@ def test_after_none_the_arm_is_calibrated(command, named, tmp_path):
     named("load_cell")
     write_csv(tmp_path / "new.csv", recorded(LAB))
     run(command, next_step(verdict_of("none", 0.97), GIVEN).command)
-    calibration = read_calibration(tmp_path / "found" / "calibration.npz", LAB)
+    calibration = read_calibration(tmp_path / "found" / "calibration.npz", FeltArm(LAB))
     by_tolerances = np.sqrt(np.diag(calibration.prior_covariance))
     assert (calibration.std <= by_tolerances + 1e-12).all()
     errors = recorded_errors(recorded(LAB), TorchLaw(LAB), calibration=calibration)
