@@ -15,41 +15,42 @@ MACHINES = Path(__file__).parents[3] / "config" / "machines"
 
 
 @pytest.fixture(scope="module")
-def finger(tmp_path_factory):
+def arm(tmp_path_factory):
     """A machine file with its model beside it."""
-    folder = tmp_path_factory.mktemp("finger")
-    for name in ("finger.xml", "finger.yaml"):
+    folder = tmp_path_factory.mktemp("arm")
+    for name in ("seven_hinges.xml", "seven_hinges.yaml"):
         shutil.copy(MACHINES / name, folder)
-    file = folder / "finger.yaml"
-    export(out=folder / "finger.onnx", arm=str(file))
+    file = folder / "seven_hinges.yaml"
+    export(out=folder / "seven_hinges.onnx", arm=str(file))
     return file
 
 
 @pytest.fixture(scope="module")
-def nodes(start_for_all, finger):
-    sim = start_for_all("machine_sim", machine=str(finger), built_seed=3)
-    return sim, start_for_all("estimator", arm=str(finger), tare_samples=20)
+def nodes(start_for_all, arm):
+    sim = start_for_all("machine_sim", machine=str(arm), built_seed=3, rate_hz=30.0)
+    return sim, start_for_all("estimator", arm=str(arm), tare_samples=20)
 
 
-def test_a_push_on_a_finger_is_found_within_its_interval(graph, nodes):
+def test_a_push_on_a_link_is_found_within_its_interval(graph, nodes):
     points = graph.listen(PointStamped, "/estimator/contact_point")
     lower = graph.listen(WrenchStamped, "/estimator/wrench_lower")
     upper = graph.listen(WrenchStamped, "/estimator/wrench_upper")
-    graph.until(lambda: said(graph) is ForceState.FREE, "a finger that nothing touches")
+    graph.until(lambda: said(graph) is ForceState.FREE, "an arm that nothing touches")
     message = WrenchStamped()
-    message.header.frame_id = "distal"
-    message.wrench.force.z = 1.5
+    message.header.frame_id = "link_6"
+    message.wrench.force.y = 8.0
+    message.wrench.force.z = 6.0
     graph.until(graph.load.get_subscription_count, "a subscriber of loads")
     graph.load.publish(message)
     graph.until(lambda: said(graph) is ForceState.CONTACT and points, "a contact")
     wrench = graph.wrenches[-2]
-    assert wrench.header.frame_id == "distal"
+    assert wrench.header.frame_id == "link_6"
     size_n = np.linalg.norm(force(wrench))
-    assert size_n == pytest.approx(1.5, abs=0.1)
+    assert size_n == pytest.approx(10.0, abs=0.5)
     low_n, high_n = (np.linalg.norm(force(bounds[-1])) for bounds in (lower, upper))
-    assert low_n < 1.5 < high_n
+    assert low_n < 10.0 < high_n
     # in the middle of where the link is touched, which is its default place
-    assert points[-1].point.x == pytest.approx(0.016, abs=0.002)
+    assert points[-1].point.x == pytest.approx(0.06, abs=0.01)
 
 
 def said(graph):
