@@ -56,6 +56,8 @@ _LEAP_SHARE = 0.1
 """A step is none of a joint that moves where it is off the steps around it by more than these
 multiples of what is usual there and of what nearly all steps are off, and by the share of the
 span."""
+_HIT_ROWS = 9
+"""About the row where a joint is hit: a parabola that has the hit within it is off, too."""
 _BESIDE = 6
 _LEAST_OFF = 0.005
 _MOST_OFF = 10.0
@@ -330,7 +332,9 @@ def _off_the_motion(position: Array, trial: NDArray[np.int64]) -> Array:
     after = windows[:, _BESIDE:] @ at_step
     speed_before = -windows[:, :_BESIDE] @ speed_at_step[::-1]
     speed_after = windows[:, _BESIDE:] @ speed_at_step
-    by_hit = 0.5 * np.abs(speed_after - speed_before)
+    turn = np.abs(speed_after - speed_before)
+    is_hit = turn > _MOST_OFF * np.percentile(turn, _OFF_PERCENT)
+    by_hit = maximum_filter1d(0.5 * turn * is_hit, _HIT_ROWS)
     together = trial[2 * _BESIDE - 1 :] == trial[: rows - 2 * _BESIDE + 1]
     apart = np.maximum(np.abs(after - before) - by_hit, 0.0)
     off[_BESIDE : rows - _BESIDE + 1] = apart * together
