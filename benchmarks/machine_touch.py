@@ -307,15 +307,15 @@ class Bench:
                 continue
             reading = machine.channels.read(contact.values, rng)
             seen = self.law(reading[None], command[None], exact, covariance, self.unrest)
-            found = int(seen.contact_evidence[0].argmax())
+            likeliest = int(seen.contact_evidence[0].argmax())
             along_m = before_m[link] + contact.place_m
             lateral_n = float(np.hypot(*seen.force_n[0, 1:]))
             low_n, high_n = seen.magnitude_ci95_n[0]
             start_m, end_m = seen.region_m[0]
-            off_m = abs(before_m[found] + float(seen.place_m[0]) - along_m)
+            off_m = abs(before_m[likeliest] + float(seen.place_m[0]) - along_m)
             rows.append(
                 (
-                    found == link,
+                    likeliest == link,
                     1e3 * off_m,
                     abs(lateral_n - contact.lateral_n) / contact.lateral_n,
                     start_m - 1e-4 <= along_m <= end_m + 1e-4,

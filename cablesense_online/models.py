@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -43,7 +44,7 @@ class ModelSummary:
     pose_range_deg: float
 
 
-class Loaded:
+class Loaded(ABC):
     """A model file, opened, and the machine that it is used for.
 
     Attributes:
@@ -62,19 +63,19 @@ class Loaded:
         """Of the file, which identifies the model in a recording."""
         return hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
 
+    @abstractmethod
     def contacts(self, settings: EstimationSettings) -> ContactFinder:
         """Finds contacts by this model."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def law(self) -> Law | None:
         """The law in it; None of a network."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def reference_contacts(self) -> Callable[[], ReferenceContacts]:
         """Finds the machine under contacts that stand for all."""
-        raise NotImplementedError
 
     def calibration(self, path: str) -> Calibration | None:
         """The calibration in a file; None where none is named.
