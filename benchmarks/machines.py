@@ -4,8 +4,9 @@
 
 Each sample is of another machine, which differs from its file as its tolerances allow, in a pose
 within 10 degrees of its reference, and is read with the sensors' noise and step. Nothing of it was
-calibrated. A contact is anywhere on the links and around them, at any radius up to the surface's,
-and its force points beside the axis and along it by up to the friction of the file.
+calibrated, but for a tare of those that nothing touches. A contact is anywhere on the links and
+around them, at any radius up to the surface's, and its force points beside the axis and along it
+by up to the friction of the file.
 
 The bound is that of Cramér and Rao: the law's derivative by the contact, at the pose of the
 machine as its file describes it under that contact, with the covariance of what is read by noise
@@ -25,6 +26,7 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base import Array
+from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
@@ -41,6 +43,8 @@ MACHINES = ("finger", "hand", "seven_hinges", "continuum", "six_axis")
 REACH_DEG = 10.0
 FORCES = (0.05, 1.0)
 """Lateral forces, as shares of the largest that the file expects."""
+TARE_READINGS = 50
+"""Of a tare, as by default of the node."""
 AT_ONCE = 200
 HALF_NORMAL_MEDIAN = 0.6744898
 """Median of the absolute value of a standard normal number."""
@@ -131,7 +135,9 @@ class Bench:
             path = Path(folder) / f"{name}.onnx"
             export_machine(self.machine, path, "benchmarks/machines.py")
             self.law = open_machine_law(path, self.machine)
-        self.judge = Judge(FeltModel(self.machine))
+        felt = FeltModel(self.machine)
+        self.judge = Judge(felt)
+        self.calibrator = Calibrator(felt, self.law)
         self.parameters = self.law.observer.parameters
         self.mean = self.parameters.prior_mean
         self.covariance = np.diag(self.parameters.prior_std**2)
@@ -272,20 +278,36 @@ class Bench:
         )
 
     def false_contacts(self, count: int, rng: np.random.Generator, until_s: float) -> Any:
-        """Samples of untouched machines, and how many of these are answered with a contact."""
+        """Samples of untouched machines, and how many of these are answered with a contact.
+
+        As by the node, there is a tare in the reference pose first. A machine whose tare is
+        refused, as none of its tolerances, has no answers.
+        """
         judged = 0
         false = 0
+        refused = 0
         while judged < count and time.monotonic() < until_s:
             built = self.built(rng)
+            at_reference = self.holding.command_of(self.machine.reference)
+            values = built.untouched(at_reference).values
+            tared = self.machine.channels.read(np.tile(values, (TARE_READINGS, 1)), rng)
+            tare = Unloaded(tared.mean(axis=0), at_reference, TARE_READINGS)
+            try:
+                known = self.calibrator.updated(self.calibrator.by_tolerances(), tare)
+            except CalibrationError:
+                refused += 1
+                judged += AT_ONCE
+                continue
             command = self.command(rng)
             values = built.untouched(command).values
             readings = self.machine.channels.read(np.tile(values, (AT_ONCE, 1)), rng)
-            seen = self.answers(readings, np.tile(command, (AT_ONCE, 1)))
+            commands = np.tile(command, (AT_ONCE, 1))
+            seen = self.law(readings, commands, known.mean, known.covariance, self.unrest)
             for row, reading in enumerate(readings):
                 state = self.judge(seen.row(row), reading).state
                 false += state in (ContactState.CONTACT, ContactState.MOMENT)
             judged += AT_ONCE
-        return {"samples": judged, "false_contacts": false}
+        return {"samples": judged, "false_contacts": false, "tares refused": refused}
 
     def rests_per_s(self, samples: list[Sample]) -> float:
         """Rests under contacts, from the untouched one on, in a second of one core."""
