@@ -54,13 +54,13 @@ def main() -> int:
         cases = _recorded(options.count, options.seed, folder)
         outcomes = [_outcome(case, folder) for case in cases]
     named = sum(each["named"] for each in outcomes)
-    told = [each for each in outcomes if each["told_by_floors"] >= _TELLING_FLOORS]
-    right = sum(each["form_right"] for each in told)
-    found = {
+    tellable = [each for each in outcomes if each["told_by_floors"] >= _TELLING_FLOORS]
+    right = sum(each["form_right"] for each in tellable)
+    figures = {
         "seed": options.seed,
         "cases": len(outcomes),
         "friction_named": named,
-        "form_told": len(told),
+        "form_told": len(tellable),
         "form_right": right,
         "form_wrong_though_determined": sum(
             each["determined"] and not each["form_right"] for each in outcomes
@@ -71,10 +71,10 @@ def main() -> int:
         "each_case": outcomes,
         "bars": {
             f"friction is named in {_NAMED_SHARE:.0%}": named >= _NAMED_SHARE * len(outcomes),
-            "its form is right where three floors tell it": right == len(told),
+            "its form is right where three floors tell it": right == len(tellable),
         },
     }
-    return harness.publish("friction_forms.json", found, options, "mujoco")
+    return harness.publish("friction_forms.json", figures, options, "mujoco")
 
 
 def _recorded(count: int, seed: int, folder: Path) -> list[RobotCase]:
@@ -88,8 +88,8 @@ def _recorded(count: int, seed: int, folder: Path) -> list[RobotCase]:
         case = draw_case(kind, [name], seed, k + 1, [{name: friction.FRICTION[name]}])
         cases.append(replace(case, recorded=case.recorded[:1]))
     for kind in kinds:
-        own = [case for case in cases if case.kind is kind]
-        missing = [case for case in own if not _path(case, folder).exists()]
+        cases_of_kind = [case for case in cases if case.kind is kind]
+        missing = [case for case in cases_of_kind if not _path(case, folder).exists()]
         if missing:
             record(missing, folder)
     return cases

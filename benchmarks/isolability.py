@@ -73,7 +73,7 @@ def main() -> int:
             outcomes.append(harness.kept(kept, partial(_outcome, k, options.seed)))
             print(outcomes[-1], flush=True)
     agree = sum(each["agree"] for each in outcomes)
-    found = {
+    figures = {
         "seed": options.seed,
         "pairs": len(outcomes),
         "agree": agree,
@@ -81,7 +81,7 @@ def main() -> int:
         "each_case": outcomes,
         "bars": {f"table and diagnosis agree in {_BAR:.0%}": agree >= _BAR * len(outcomes)},
     }
-    return harness.publish("isolability.json", found, options, "mujoco")
+    return harness.publish("isolability.json", figures, options, "mujoco")
 
 
 def _outcome(k: int, seed: int) -> dict[str, Any]:
@@ -189,7 +189,8 @@ def _table(planted: Planted, blocks: list[RobotBlock]) -> Isolability:
         for term, parameter in parameters.items()
         if term[:2] == planted.site and not _is_richer(system, term)
     }
-    changed, usual = system.predict([typical])[0], system.predict([{}])[0]
+    changed = system.predict([typical])[0]
+    usual = system.predict([{}])[0]
     return isolability(system, {planted.site: gap / rms(changed - usual)})
 
 

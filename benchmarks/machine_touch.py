@@ -187,8 +187,8 @@ class TouchedMachine:
         machine = self._machine
         data = self.data
         mujoco.mj_resetData(self.model, data)
-        own = self.model.nq - 1
-        data.qpos[:own] = machine.coordinates.positions(untouched.pose)
+        machine_joint_count = self.model.nq - 1
+        data.qpos[:machine_joint_count] = machine.coordinates.positions(untouched.pose)
         if not machine.is_measured:
             tendons = machine.tendons
             unstretched_m = self._described.unstretched_m(command)

@@ -380,14 +380,14 @@ def figures_of(bench: Bench, stated: Stated) -> dict[str, Any]:
     }
     by_link = {}
     for n, name in enumerate(links.names):
-        own = stated.true_link == n
-        if not own.any():
+        on_link = stated.true_link == n
+        if not on_link.any():
             continue
         by_link[name] = [
-            int(own.sum()),
-            int((own & right).sum()),
-            round(float(stated.in_region[own].mean()), 3),
-            round(float(stated.in_force[own].mean()), 3),
+            int(on_link.sum()),
+            int((on_link & right).sum()),
+            round(float(stated.in_region[on_link].mean()), 3),
+            round(float(stated.in_force[on_link].mean()), 3),
         ]
     return {**shares, "links: contacts, right, region holds, force interval holds": by_link}
 

@@ -226,20 +226,20 @@ def main() -> int:
     for each in planted:
         if time.time() > until_s:
             break
-        found = harness.kept(_file(folder, each, "json"), partial(_scored, each, folder))
-        each_case.append(found)
-        print(found, flush=True)
-    right = sum(found["right"] for found in each_case)
-    none = sum(found["named"] == NONE for found in each_case)
+        outcome = harness.kept(_file(folder, each, "json"), partial(_scored, each, folder))
+        each_case.append(outcome)
+        print(outcome, flush=True)
+    right = sum(outcome["right"] for outcome in each_case)
+    none = sum(outcome["named"] == NONE for outcome in each_case)
     bar = "named with its sign" if options.loads else "cannot_tell or right"
     figures = {
         "seed": seed,
         "cases": len(each_case),
         "right": right,
         "none": none,
-        "named": dict(Counter(found["named"] for found in each_case)),
+        "named": dict(Counter(outcome["named"] for outcome in each_case)),
         "seconds_of_a_diagnosis": harness.percentiles(
-            [found["seconds"] for found in each_case], ("median", "worst"), 1
+            [outcome["seconds"] for outcome in each_case], ("median", "worst"), 1
         ),
         "bars": {bar: right == len(planted), "none 0": none == 0},
         "each_case": each_case,
@@ -291,9 +291,9 @@ def _scored(planted: _Planted, folder: Path) -> dict[str, Any]:
 
 def _sizes(each_case: list[dict[str, Any]]) -> dict[str, Any]:
     """Errors of the masses found, as shares of the truth, and how often intervals hold these."""
-    found = [each for each in each_case if each["found_kg"] is not None]
-    off = [abs(each["found_kg"] / each["truth_kg"] - 1.0) for each in found]
-    held = [each["ci95_kg"][0] <= each["truth_kg"] <= each["ci95_kg"][1] for each in found]
+    with_mass = [each for each in each_case if each["found_kg"] is not None]
+    off = [abs(each["found_kg"] / each["truth_kg"] - 1.0) for each in with_mass]
+    held = [each["ci95_kg"][0] <= each["truth_kg"] <= each["ci95_kg"][1] for each in with_mass]
     return {
         "relative_error": harness.percentiles(off, ("median", "worst")),
         "interval_holds": sum(held),

@@ -164,7 +164,7 @@ def main(given: argparse.Namespace) -> int:
         starts = [start(python) for _ in range(given.starts)]
     first_wrench_s = [round(one.wrench_s, 2) for one in starts]
     memory_mb = [round(one.memory_mb, 1) for one in starts]
-    found = {
+    figures = {
         "load": round(os.getloadavg()[0], 2),
         "arm": ARM,
         "installed_mb": round(installed_mb, 1),
@@ -180,7 +180,7 @@ def main(given: argparse.Namespace) -> int:
             f"at most {MEMORY_BAR_MB:g} MB of memory": max(memory_mb) <= MEMORY_BAR_MB,
         },
     }
-    return harness.publish("robot_install.json", found, given, "numpy", "onnxruntime")
+    return harness.publish("robot_install.json", figures, given, "numpy", "onnxruntime")
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ A program that uses the diagnosis finds the names that it needs here:
     from cablesense_sim import open_arm
 
     arm = open_arm("cdsm_lab")
-    found = diagnose(read_recording("recording.csv", arm), arm)
-    print(found.verdict.effects, found.verdict.probability)
+    diagnosis = diagnose(read_recording("recording.csv", arm), arm)
+    print(diagnosis.verdict.effects, diagnosis.verdict.probability)
 
 A name is imported when it is first used, so that `import cablesense_gap` itself costs nothing.
 """

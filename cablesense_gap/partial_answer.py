@@ -189,8 +189,10 @@ def _hypotheses(
         first = best[first.effects]
         if len(first.effects) > 1:
             keep(fitting.without(problem, [effect], first) for effect in first.effects)
-    found = list(best.values())
-    worth_it = [each for each in found if not is_redundant(problem, each, found)]
+    fitted_hypotheses = list(best.values())
+    worth_it = [
+        each for each in fitted_hypotheses if not is_redundant(problem, each, fitted_hypotheses)
+    ]
     without_effects = fitting.refine(problem, {}, [[]])
     assert without_effects is not None
     return [without_effects, *worth_it]

@@ -109,8 +109,8 @@ def _changed_where_covered(first: Ranked) -> tuple[str, ...]:
 def _reference_gap(reference: Reference, coverage: Coverage | None) -> ReferenceGap:
     if coverage is None:
         return reference.left
-    found = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
-    return reference.left.model_copy(update=found)
+    stated_coverage = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
+    return reference.left.model_copy(update=stated_coverage)
 
 
 def diagnose_system(

@@ -264,8 +264,8 @@ def _tracked(bag: _Bag, topics: Sequence[str]) -> list[FramePoses]:
     covered = {joint for source in bag.sources.values() for joint in source.joints}
     if not bag.pose_counts or len(covered) == len(bag.channels.joints):
         return []
-    found = frame_poses(bag.path, bag.channels.frames, topics, bag.pose_counts)
-    return sorted(found, key=lambda each: len(each.counts))
+    poses_by_frame = frame_poses(bag.path, bag.channels.frames, topics, bag.pose_counts)
+    return sorted(poses_by_frame, key=lambda each: len(each.counts))
 
 
 def _of_poses(

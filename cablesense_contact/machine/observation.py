@@ -168,12 +168,6 @@ class Observer:
             return self._of_pose(known, reading, command, covariance, moving)
         return self._of_tensions(known, reading, covariance, moving, near)
 
-    def untouched(self, command: Array, mean: Array) -> tuple[Array, Array]:
-        """Pose (n,) and tensions (K,) of the machine that nothing touches."""
-        known = self._known(command, mean)
-        balance = known.built.statics.at(known.pose)
-        return known.pose, known.built.statics.tensions_n(balance.length_m, known.unstretched_m)
-
     def command_of(self, pose: Array) -> Array:
         """(C,) the command that holds the machine, as modelled, near a pose (n,)."""
         return self._holding.command_of(pose)

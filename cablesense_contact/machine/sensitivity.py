@@ -98,8 +98,8 @@ class ParameterSources:
             friction = _by_friction(machine, built, pose)
             self._wrap_rad = friction.wrap_rad
             self.rows[carried, slices["carried_friction"]] = np.eye(tendons)
-            own = np.arange(len(parameters))[slices["carried_friction"]]
-            moment[np.arange(tendons), :, own] = friction.moment
+            carried_numbers = np.arange(len(parameters))[slices["carried_friction"]]
+            moment[np.arange(tendons), :, carried_numbers] = friction.moment
 
         routed = _by_routing(machine, parameters, built, pose, balance)
         self.rows[lengths, slices["routing"]] = routed.length
@@ -115,12 +115,16 @@ class ParameterSources:
         taut = (tensions_n > 0.0).astype(float)
         of_tensions = np.zeros((tendons, len(self.rows)))
         of_forces = np.zeros((count, len(self.rows)))
-        own = np.arange(tendons)
-        of_tensions[own, own + lengths.start] = built.statics.stiffness_n_m * taut
+        tendon_numbers = np.arange(tendons)
+        of_tensions[tendon_numbers, tendon_numbers + lengths.start] = (
+            built.statics.stiffness_n_m * taut
+        )
         # T = k (l - held) + T0: the tension itself, but for what was set by hand
-        of_tensions[own, own + stiffness.start] = tensions_n - built.pretension_n * taut
-        of_tensions[own, own + pretension.start] = taut
-        of_tensions[own, own + carried.start] = -tensions_n * self._wrap_rad
+        of_tensions[tendon_numbers, tendon_numbers + stiffness.start] = (
+            tensions_n - built.pretension_n * taut
+        )
+        of_tensions[tendon_numbers, tendon_numbers + pretension.start] = taut
+        of_tensions[tendon_numbers, tendon_numbers + carried.start] = -tensions_n * self._wrap_rad
         of_forces[:, moments] = -np.kron(tensions_n, np.eye(count))
         of_forces[:, weights] = np.eye(count)
         of_forces[:, springs] = self._by_springs(pose)

@@ -219,8 +219,8 @@ def _fitted_from(
                 factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
                 starts.append(_scaled(parameters, values, factors))
             fits.append(refine(problem, parameters, starts, MOST_STEPS))
-    found = [fitted for fitted in fits if fitted is not None]
-    return min(found, key=lambda fitted: fitted.held_out_rmse, default=None)
+    found_fits = [fitted for fitted in fits if fitted is not None]
+    return min(found_fits, key=lambda fitted: fitted.held_out_rmse, default=None)
 
 
 def _scaled(
@@ -257,16 +257,16 @@ def _form_at(problem: Problem, hypothesis: Hypothesis, joint: str) -> FrictionFo
         for term, value in hypothesis.values.items()
         if term.effect not in FRICTION or term.place != joint
     }
-    own = {
+    friction_here = {
         term: value
         for term, value in hypothesis.values.items()
         if term.effect in FRICTION and term.place == joint
     }
-    viscous = any(term.effect == VISCOUS for term in own)
+    viscous = any(term.effect == VISCOUS for term in friction_here)
     laws = _laws(problem, viscous=viscous)
     fits: dict[str, Hypothesis] = {}
     for law in laws:
-        start = {**rest, **_start_of(problem, law, joint, own)}
+        start = {**rest, **_start_of(problem, law, joint, friction_here)}
         bristles = [term for term in start if term[1:] == (joint, PRESLIDING)]
         rigid = bristles if "presliding" not in law.parts else []
         fitted = _fitted_from(problem, start, rigid)
@@ -308,7 +308,7 @@ def _laws(problem: Problem, *, viscous: bool) -> list[Law]:
 
 
 def _start_of(
-    problem: Problem, law: Law, joint: str, own: Mapping[Term, float]
+    problem: Problem, law: Law, joint: str, friction_here: Mapping[Term, float]
 ) -> dict[Term, float]:
     """Numbers of a law at a joint: as they were found, else typical ones."""
     values = {}
@@ -317,5 +317,5 @@ def _start_of(
             term = Term(effect, joint, name)
             parameter = problem.parameters[term]
             usual = parameter.typical if parameter.role == "size" else parameter.default
-            values[term] = own.get(term, usual)
+            values[term] = friction_here.get(term, usual)
     return values

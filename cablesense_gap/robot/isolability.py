@@ -102,11 +102,11 @@ class Isolability:
     def imitators(self, site: int) -> tuple[str, ...]:
         """Effects that a verdict could name instead of one, the most alike first."""
         order = np.argsort(-self.share[site])
-        own = self.sites[site].effect
+        site_effect = self.sites[site].effect
         return tuple(
             self.effects[e]
             for e in order.tolist()
-            if self.share[site, e] >= CONFUSED and self.effects[e] != own
+            if self.share[site, e] >= CONFUSED and self.effects[e] != site_effect
         )
 
     def worst(self) -> Array:
@@ -329,13 +329,13 @@ class _Compared:
 
     def left(self, k: int, rival: int | None, size: float) -> _Left:
         """What tolerances, and a rival with free numbers, leave of one effect."""
-        own = self._owned[k]
+        effect_columns = self._owned[k]
         values = size * self._is_size(k).astype(float)
         fitted = self._nuisance
         if rival is not None:
             fitted = np.concatenate([fitted, self._owned[rival]])
-        square = float(values @ self._gram[np.ix_(own, own)] @ values)
-        moment = self._gram[np.ix_(fitted, own)] @ values
+        square = float(values @ self._gram[np.ix_(effect_columns, effect_columns)] @ values)
+        moment = self._gram[np.ix_(fitted, effect_columns)] @ values
         gram = self._gram[np.ix_(fitted, fitted)]
         floor = self._problem.floor
         mean_square = floor**2

@@ -153,14 +153,14 @@ def _robot_protocol(
         times = _TIMES
         blocks = blocks_that_part(robot, pair, channels)
     recorded = [block for block in blocks for _ in range(times)]
-    found = isolability(planned(robot, recorded, channels))
+    plan_isolability = isolability(planned(robot, recorded, channels))
     headings = ("trial", "takes, s", "what", "what to do")
     table = titled_table(title, *headings, right=headings[:2])
     for number, block in enumerate(blocks, start=1):
         table.add_row(str(number), f"{block.duration_s:.0f}", block.kind, block.does)
     console = Console()
     console.print(table)
-    if pair is not None and found.may_confuse(*pair):
+    if pair is not None and plan_isolability.may_confuse(*pair):
         console.print(
             f"No motion that was tried tells {pair[0]} from {pair[1]} at every place: a verdict "
             "would name both, as one group."
@@ -170,33 +170,33 @@ def _robot_protocol(
         f"smaller ranges will do where there is no room.\n{_KEEP_ONE}",
         style="dim",
     )
-    _print_isolability(console, found)
+    _print_isolability(console, plan_isolability)
     if picture is not None:
         from cablesense_gap.report.isolability import write_picture
 
-        write_picture(picture, found, robot.name)
+        write_picture(picture, plan_isolability, robot.name)
         console.print(f"{picture}: which effects the planned motion tells apart")
     if out is not None:
         rows = write_protocol(out, robot, recorded)
         console.print(f"{out}: {rows:,} rows", soft_wrap=True)
 
 
-def _print_isolability(console: Console, found: Isolability) -> None:
+def _print_isolability(console: Console, plan_isolability: Isolability) -> None:
     """From which size each effect is named, and which others a verdict may name instead."""
     headings = ("effect", "at", "named from", "may be taken for")
     table = titled_table("What this motion shows", *headings, right=headings[2:3])
-    for number, site in enumerate(found.sites):
-        size = found.named_from[number]
-        shows = f"{size:.2g} {found.units[number]}".removesuffix(" 1")
-        imitators = ", ".join(found.imitators(number)) or "–"
+    for number, site in enumerate(plan_isolability.sites):
+        size = plan_isolability.named_from[number]
+        shows = f"{size:.2g} {plan_isolability.units[number]}".removesuffix(" 1")
+        imitators = ", ".join(plan_isolability.imitators(number)) or "–"
         if not math.isfinite(size):
             shows = "never"
             imitators = "none"
         table.add_row(site.effect, site.place, shows, imitators)
     console.print(table)
     console.print(
-        f"{found.compared} Sensors are taken to be usual ones: torques with 0.5 % of noise, "
-        "encoders with 0.1 mrad, cameras with 1 mrad. An effect that may be taken for another is "
+        f"{plan_isolability.compared} Sensors are taken to be usual ones: torques with 0.5 % of "
+        "noise, encoders with 0.1 mrad, cameras with 1 mrad. An effect that may be taken for another is "
         "named with it, as one group: --tell-apart chooses motions in which two differ.",
         style="dim",
     )

@@ -371,6 +371,6 @@ def _moment_places(model: mujoco.MjModel) -> NDArray[np.int64]:
     places = np.full((model.ntendon, model.nv), len(sparse), dtype=np.int64)
     for t in range(model.ntendon):
         first = int(model.ten_J_rowadr[t])
-        own = np.arange(first, first + int(model.ten_J_rownnz[t]))
-        places[t, sparse[own]] = own
+        cells = np.arange(first, first + int(model.ten_J_rownnz[t]))
+        places[t, sparse[cells]] = cells
     return places
