@@ -196,8 +196,9 @@ def _print_isolability(console: Console, plan_isolability: Isolability) -> None:
     console.print(table)
     console.print(
         f"{plan_isolability.compared} Sensors are taken to be usual ones: torques with 0.5 % of "
-        "noise, encoders with 0.1 mrad, cameras with 1 mrad. An effect that may be taken for another is "
-        "named with it, as one group: --tell-apart chooses motions in which two differ.",
+        "noise, encoders with 0.1 mrad, cameras with 1 mrad. An effect that may be taken for "
+        "another is named with it, as one group: --tell-apart chooses motions in which the two "
+        "differ.",
         style="dim",
     )
 
