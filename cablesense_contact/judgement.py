@@ -23,6 +23,8 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
 
+LOG_PRIOR_CONTACT = math.log(0.01)
+"""Of a contact in a reading, against none: machines are untouched most of their time."""
 LOG_PRIOR_WRENCH = math.log(0.01)
 """Of several contacts or a couple on one segment, against a single contact."""
 LOG_PRIOR_SEVERAL = math.log(0.01)
@@ -121,14 +123,16 @@ class Judge:
         evidence = seen.contact_evidence[0]
         segment = int(evidence.argmax())
         top = float(evidence[segment])
-        contact = top + math.log(float(np.exp(evidence - top).sum()))
-        weights = np.exp(np.concatenate([[0.0], evidence]) - max(contact, 0.0))
+        on_any_link = top + math.log(float(np.exp(evidence - top).sum()))
+        contact = on_any_link + LOG_PRIOR_CONTACT
+        log_weights = np.append(0.0, evidence + LOG_PRIOR_CONTACT)
+        weights = np.exp(log_weights - max(contact, 0.0))
         probabilities = weights / weights.sum()
         touched = contact >= self._log_odds
 
         known = self._force_is_known(seen)
         rivals = sorted(
-            (rival for rival in self._rivals(seen) if known or not rival.same_moment),
+            self._rivals_of(seen, touched=touched, known=known),
             key=lambda rival: -rival.log_weight,
         )
         best = rivals[0]
@@ -197,8 +201,16 @@ class Judge:
         least_n = abs(along_n) - NORMAL_95 * along_std_n
         return self._friction > 0.0 and least_n > self._friction * math.hypot(y, z)
 
+    def _rivals_of(self, seen: LawOutput, *, touched: bool, known: bool) -> Iterator[_Rival]:
+        """What else than the likelier of "a contact" and "nothing" may be behind the reading."""
+        if touched:
+            yield _Rival(0.0, 0.0, "nothing touches the arm")
+        for rival in self._rivals(seen):
+            if known or not rival.same_moment:
+                yield rival
+
     def _rivals(self, seen: LawOutput) -> Iterator[_Rival]:
-        """What else may be behind the reading."""
+        """What is neither one contact nor nothing."""
         each = LOG_PRIOR_FAULT - math.log(len(self._names))
         faulty = seen.faulty_evidence[0]
         channel = int(faulty.argmax())
@@ -214,7 +226,7 @@ class Judge:
         )
         beside = seen.faulty_segment_evidence[0]
         channel, of_segment = divmod(int(beside.argmax()), beside.shape[1])
-        weight = float(beside[channel, of_segment]) + each
+        weight = float(beside[channel, of_segment]) + LOG_PRIOR_CONTACT + each
         yield _Rival(
             weight,
             weight,
@@ -233,14 +245,14 @@ class Judge:
         )
         wrench = seen.segment_evidence[0]
         segment = int(wrench.argmax())
-        weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
+        weight = float(wrench[segment]) + LOG_PRIOR_CONTACT + LOG_PRIOR_WRENCH
         yield _Rival(
             weight,
             weight,
             f"several contacts or a couple on {self._link(segment)}",
             same_moment=segment == int(seen.contact_evidence[0].argmax()),
         )
-        weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
+        weight = float(seen.several_evidence[0]) + LOG_PRIOR_CONTACT + LOG_PRIOR_SEVERAL
         yield _Rival(weight, weight, "contacts on several segments")
 
 
