@@ -22,7 +22,7 @@ HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --cust
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site models messages lock verify man dist clean
+.PHONY: help demo test test-fast lint setup site reference tutorial models messages lock verify man dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -64,6 +64,13 @@ setup: $(VENV)/.all  ## everything that developing needs, in .venv
 
 site: setup build/mypy  ## the documentation as a site, in build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
+reference: setup  ## docs/ros_reference.md again, its tables of topics and parameters from the code
+	@$(BIN)/python .ci/reference > build/ros_reference.md
+	@mv build/ros_reference.md docs/ros_reference.md
+
+tutorial: setup build/mypy  ## docs/tutorial.md again, with what its commands print; some minutes
+	@$(BIN)/python .ci/tutorial
 
 models: setup  ## makes every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh

@@ -13,83 +13,90 @@ from typing import Final
 from cablesense_base import CableSenseError
 
 CABLE_TENSIONS: Final = "cable_tensions"
-"""`sensor_msgs/JointState`: cable names, `effort` in N, stamped with the time of the sample."""
+"""`sensor_msgs/JointState`: `name` cable_1 … cable_M, `effort` in N, stamped with the time of the
+sample."""
 SIMULATED_TENSIONS: Final = "simulated_tensions"
-"""As `cable_tensions`, from a sim whose output is played out as CAN frames by `can_emulator`."""
+"""`sensor_msgs/JointState`: as `cable_tensions`, from a sim whose tensions `can_emulator` sends as
+CAN frames."""
 JOINT_COMMANDS: Final = "joint_commands"
-"""`sensor_msgs/JointState`: joint names, `position` in rad as commanded."""
+"""`sensor_msgs/JointState`: `position` in rad as commanded, by name (`joint_1_pitch`,
+`joint_1_yaw`, …) in any order. Joints that are not named keep their command, which is straight
+before the first."""
 JOINT_TRAJECTORY: Final = "joint_trajectory"
-"""`trajectory_msgs/JointTrajectory`: taken by arm and estimator alone, as the joint commands that
-it comes to."""
+"""`trajectory_msgs/JointTrajectory`: taken by `sim`, `can_driver` and `estimator` as commands
+every 20 ms. Recordings for a diagnosis, page and controllers need `joint_commands`."""
 CABLE_OFFSETS: Final = "cable_offsets"
 """`sensor_msgs/JointState`: cable names, `position` in m by which each cable is to be longer than
-its commanded length. This and `joint_commands` state in `header.frame_id` whether they belong to a
-breath (`messages.breath_turn`)."""
+its commanded length, at most 5 mm. This and `joint_commands` state in `header.frame_id` whether
+they belong to a breath (`messages.breath_turn`)."""
 JOINT_STATES: Final = "joint_states"
-"""`sensor_msgs/JointState`: joint names, `position` in rad as they are in the simulation."""
+"""`sensor_msgs/JointState`: `position` in rad by joint name, as they are in the simulation; of a
+real arm the set-points of its commands, from `can_driver`."""
 APPLIED_WRENCH: Final = "applied_wrench"
-"""`geometry_msgs/WrenchStamped`: a known force on segment N, base axes, N. In frame `segment_N`
-without torque, or in the base frame with the torque that it has there."""
+"""`geometry_msgs/WrenchStamped`: a known force on one segment, in base axes, N. In frame
+`segment_N` without torque, or in the base frame with the torque that it has there."""
 TRIAL: Final = "trial"
-"""`std_msgs/Int32`, optional: the number of the trial that starts now."""
+"""`std_msgs/Int32`: optional, for a diagnosis; the number of the trial that starts now."""
 ROBOT_DESCRIPTION: Final = "robot_description"
-"""`std_msgs/String`, transient local: the URDF generated from the arm file."""
+"""`std_msgs/String`: the URDF generated from the arm file; transient local."""
 DIAGNOSTICS: Final = "/diagnostics"
-"""`diagnostic_msgs/DiagnosticArray`, 1 Hz."""
+"""`diagnostic_msgs/DiagnosticArray`: from every node, 1 Hz."""
 CONTACT_POINT: Final = "~/contact_point"
-"""`geometry_msgs/PointStamped` in frame `segment_N`, only during a contact."""
+"""`geometry_msgs/PointStamped`: the contact, in frame `segment_N`; only during a contact."""
 CONTACT_REGION: Final = "~/contact_region"
-"""`geometry_msgs/PolygonStamped` in frame `segment_N`, only during a contact whose place is
-estimated: two points on the segment's axis, the ends of the place's 95 % interval."""
+"""`geometry_msgs/PolygonStamped`: two points on the segment's axis, in frame `segment_N`, the ends
+of the place's 95 % interval; only during a contact."""
 CONTACT_POSE: Final = "~/contact_pose"
-"""`geometry_msgs/PoseWithCovarianceStamped` in the base frame, only during a contact whose place
-is estimated: its x axis points along the normal force, its z axis along the segment."""
+"""`geometry_msgs/PoseWithCovarianceStamped`: the contact in the base frame, its x axis along the
+normal force, its z axis along the segment; only during a contact."""
 CONTACT_COVARIANCE: Final = "~/contact_covariance"
-"""`std_msgs/Float64MultiArray`, only during a contact whose place is estimated: 4 x 4 by rows, of
-the place on the segment's axis, m, and the force along the segment's axes, N."""
+"""`std_msgs/Float64MultiArray`: 4 x 4 by rows, of the place on the segment's axis, m, and the
+force along the segment's axes, N; without a stamp, after the sample's wrench; only during a
+contact."""
 FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 WRENCH: Final = "~/wrench"
 """`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
 STATUS: Final = "~/status"
 """`diagnostic_msgs/DiagnosticArray`: the state of every wrench, with the wrench's stamp: one
-status, whose message is a `messages.ForceState`. The only standard message that has a stamp and a
-state in words."""
+status, whose message is a `messages.ForceState`."""
 ESTIMATE: Final = "~/estimate"
-"""`cablesense_msgs/ForceEstimate`, one for every sample, where that package is installed: state,
+"""`cablesense_msgs/ForceEstimate`: one for every sample, where that package is installed: state,
 wrench, intervals and place together. Recordings leave it out, as other topics have what it has."""
 WRENCH_LOWER: Final = "~/wrench_lower"
+"""`geometry_msgs/WrenchStamped`: with every estimate, the lower end of the 95 % intervals of force
+and direction. Directions go from the lower's on with a growing angle; where it is zero every
+direction may be true."""
 WRENCH_UPPER: Final = "~/wrench_upper"
-"""`geometry_msgs/WrenchStamped`, with every estimate: the ends of the 95 % intervals. Their
-magnitudes are those between which the force lies, their directions those between which it points,
-from the lower's on with a growing angle; where the lower is zero every direction may be true. Two
-wrenches, as an interval that friction makes is lopsided, and no covariance states that."""
+"""`geometry_msgs/WrenchStamped`: the upper end."""
 WRENCH_BASE: Final = "~/wrench_base"
-"""`geometry_msgs/WrenchStamped`: the same force, of all contacts together, in axes and about the
-origin of `base_link`."""
+"""`geometry_msgs/WrenchStamped`: with every wrench the same force, of all contacts together, in
+axes and about the origin of `base_link`."""
 JOINT_TORQUES: Final = "~/joint_torques"
 """`sensor_msgs/JointState`: `effort` in N·m by which contacts turn the joints, by joint name."""
 SEGMENT_WRENCHES: Final = "~/wrenches/segment_{}"
-"""`geometry_msgs/WrenchStamped` of each segment; none from a network of one contact."""
+"""`geometry_msgs/WrenchStamped`: the force on that segment, zero where nothing touches it; none
+from a network of one contact."""
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
-"""`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one, but where a
-model estimates several contacts at once."""
+"""`std_msgs/Float64MultiArray`: the probability of no contact, of segment 1, … of segment N; at
+most 30 Hz."""
 MARKERS: Final = "~/markers"
-"""`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
+"""`visualization_msgs/MarkerArray`: an arrow (0.2 m for 50 N) and a sphere while something
+touches; at most 30 Hz."""
 CALIBRATION: Final = "calibration"
-"""`std_msgs/UInt8MultiArray`, transient local: the content of a calibration file, as a
-commissioning makes it; the estimator takes it over."""
+"""`std_msgs/UInt8MultiArray`: the content of a calibration file, as a commissioning makes it; the
+estimator takes it over; transient local."""
 CALIBRATION_USED: Final = "~/calibration"
-"""`std_msgs/UInt8MultiArray`, transient local: the content of a calibration file, as the estimator
-uses it from now on; its layout's label has model, settings and time as JSON."""
+"""`std_msgs/UInt8MultiArray`: the content of a calibration file, as the estimator uses it from now
+on; its layout's label has model, settings and time as JSON; transient local."""
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 TARE_UNDO: Final = "~/tare_undo"
 """`std_srvs/Trigger`: go back to the tare before the last one."""
 BREATHE: Final = "~/breathe"
-"""`std_srvs/Trigger` of the breather: one breath from now on; answered when it begins."""
+"""`std_srvs/Trigger`: of the breather, one breath from now on; answered when it begins."""
 COMMISSION: Final = "~/commission"
-"""`std_srvs/Trigger` of the commissioner: begin a commissioning; answered when it begins."""
+"""`std_srvs/Trigger`: of the commissioner, begin a commissioning; answered when it begins."""
 
 
 class ContractError(CableSenseError):

@@ -43,7 +43,7 @@ from cablesense_plants.cases import (
 _FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
 _SHARES = (0.1, 0.78, 0.12)
 """Size of a change as the gap it makes, by the error of one reading."""
-_PLAIN = (8.0, 60.0)
+_VISIBLE = (8.0, 60.0)
 """The same of changes that are not in the list, or one of two."""
 _VISIBLE_FLOORS = 5.0
 _WANTED_SHARE = 0.1
@@ -261,13 +261,18 @@ def _recorded(
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
             change = draws[name](ArmDraw(rng, nominal))
-            plain = only_plain or len(names) > 1 or change.effect == UNKNOWN
-            bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
+            visible = only_plain or len(names) > 1 or change.effect == UNKNOWN
+            if only_plain:
+                bounds = _FLOORS["gross"]
+            elif visible:
+                bounds = _VISIBLE
+            else:
+                bounds = _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
             if workmanship is not None:
                 wanted_n = built_n * float(np.exp(rng.uniform(*np.log(_BUILT))))
             size, alone_n = _sized(change, plain_arm, wanted_n, *done)
-            least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
+            least_n = _VISIBLE_FLOORS * nominal.floor_n if visible else _WANTED_SHARE * wanted_n
             if alone_n >= least_n:
                 break
         changes.append((change, size, alone_n))
