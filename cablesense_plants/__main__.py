@@ -48,7 +48,8 @@ def blind_cases(
         bool,
         typer.Option(
             "--plain",
-            help="Of arms: hide nothing faint; every gap is several times the error of a reading.",
+            help="Of arms: hide what stands out of their tolerances, with gaps of some 60 to 100 "
+            "times the error of a reading.",
         ),
     ] = False,
     workers: WorkersOption = 1,

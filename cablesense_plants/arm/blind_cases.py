@@ -88,8 +88,8 @@ def record_cases(
     commands, loads and past. With `imperfect` the nominal arm lacks two changes that no verdict
     has a name for; `reference/` gets a recording of each arm before anything else was hidden. With
     a `workmanship` arms are built as `cablesense_plants.arm.built` does. With `plain`, what is
-    hidden shows on every arm, as a gap of several times the error of a reading. The
-    same seed makes the same files, whatever the number of processes.
+    hidden stands out of an arm's tolerances: its gap is drawn from the grossest range of
+    `_FLOORS`. The same seed makes the same files, whatever the number of processes.
 
     Raises:
         PlantError: an unknown kind in `only`, sensors that are perfect, or a place that cannot be

@@ -1,68 +1,94 @@
-"""The command lines of the tutorial, in order, as someone types them.
+"""The tutorial as someone types it, on its arm and on one that is drawn at random."""
 
-The recording is cut short, so that no line takes minutes.
-"""
-
+import csv
 import json
-import os
-import re
-import shlex
-import subprocess
-import sys
+from dataclasses import dataclass
 from pathlib import Path
 
+import gap_arms
+import numpy as np
 import pytest
-from typer.testing import CliRunner
+import yaml
 
-from cablesense_contact.inference.law_model import LawModel
-from cablesense_ros.cli.app import app
-from tests.helpers.checkout import CHECKOUT
+from cablesense_sim.arm import Arm
+from tests.helpers.tutorial_page import PAGE, Step, differences, steps, typed
 
-pytestmark = [pytest.mark.exports, pytest.mark.slow, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.exports, pytest.mark.slow, pytest.mark.timeout(400)]
 
-PAGE = CHECKOUT / "docs/tutorial.md"
-BLOCKS = re.findall(r"^```\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.DOTALL)
-LINES = [line for block in BLOCKS for line in block.replace("\\\n", "").splitlines()]
-ELSEWHERE = ("make demo", "make setup", ". .venv")  # other tests, or what runs the tests
-SHORTER = {
-    "cablesense gap adapt": "cablesense gap adapt --workers 1",
-    "cablesense evaluate": "cablesense evaluate --json",
-    "rate_hz: 10/": "rate_hz: 1/",
-}
+SEGMENTS = 2
+"""Of the drawn arm; more take longer."""
+RATE_HZ = 2.0
+SHORTER = {"cablesense gap adapt": "cablesense gap adapt --workers 1"}
+"""Without starting processes, of which each imports everything once more."""
+
+MAKES_THE_FILE = ("cablesense info --template", "sed ")
+"""Lines that write or edit the arm file."""
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where the lines are typed, one after the other."""
+@dataclass(frozen=True)
+class Played:
+    """What the lines of the page have printed, step by step, and the folder they were typed in."""
+
+    folder: Path
+    printed: list[tuple[Step, str]]
+
+    def verdict(self) -> dict:
+        """The verdict of the diagnosis."""
+        return json.loads((self.folder / "adapted/verdict.json").read_text(encoding="utf-8"))
+
+    def hidden_places(self) -> list[str]:
+        """Where the plant has hidden the effect."""
+        answers = self.folder / "bench/answers/answers.csv"
+        (answer,) = csv.DictReader(answers.read_text(encoding="utf-8").splitlines())
+        return answer["where"].split()
+
+
+def drawn_arm(seed: int) -> Arm:
+    """An arm of few segments among those that a seed draws, its sensors as the tutorial's."""
+    rng = np.random.default_rng(seed)
+    arm = gap_arms.draw_arm(rng)
+    while arm.segments.count != SEGMENTS:
+        arm = gap_arms.draw_arm(rng)
+    sensors = arm.sensors.model_copy(update={"rate_hz": RATE_HZ})
+    return arm.model_copy(update={"sensors": sensors})
+
+
+def played(folder: Path, of_ones_own: Arm | None) -> Played:
+    """Type every line; an arm of one's own takes the place of the edited template."""
+    if of_ones_own is not None:
+        text = yaml.safe_dump(of_ones_own.model_dump(mode="python"), sort_keys=False)
+        (folder / "my_arm.yaml").write_text(text, encoding="utf-8")
+    printed = []
+    for step in steps(PAGE.read_text(encoding="utf-8")):
+        lines = step.lines
+        for given, short in SHORTER.items():
+            lines = tuple(line.replace(given, short) for line in lines)
+        if of_ones_own is not None:
+            lines = tuple(line for line in lines if not line.startswith(MAKES_THE_FILE))
+        printed.append((step, typed(lines, folder)))
+    return Played(folder, printed)
+
+
+@pytest.fixture(scope="module", params=["the page's arm", "a drawn arm"])
+def tutorial(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Played:
     pytest.importorskip("torch")
-    return tmp_path_factory.mktemp("tutorial")
+    drawn = drawn_arm(seed=20261130) if request.param == "a drawn arm" else None
+    return played(tmp_path_factory.mktemp("tutorial"), drawn)
 
 
-@pytest.mark.parametrize("line", [line for line in LINES if not line.startswith(ELSEWHERE)])
-def test_a_line_runs(line, folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    for given, short in SHORTER.items():
-        line = line.replace(given, short)
-    command, _, file = line.partition(" > ")
-    name, *words = shlex.split(command)
-    if name != "cablesense":
-        program = sys.executable if name == "python" else name
-        subprocess.run(
-            [program, *words], check=True, env={**os.environ, "PYTHONPATH": str(CHECKOUT)}
-        )
-        return
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, f"{done.output} {done.exception}"
-    if file:
-        Path(file).write_text(done.stdout, encoding="utf-8")
-
-
-def test_the_hidden_effect_is_found_and_the_estimator_repaired(folder):
-    verdict = json.loads((folder / "adapted/verdict.json").read_text(encoding="utf-8"))
+def test_the_hidden_effect_is_found_and_the_estimator_repaired(tutorial: Played) -> None:
+    verdict = tutorial.verdict()
     assert verdict["effects"] == ["sensor_gain"]
+    assert verdict["where"]["cables"] == tutorial.hidden_places()
     before, after = (verdict["estimator"][when]["force_mae_n"] for when in ("before", "after"))
     assert after < 0.5 * before
-    answers = (folder / "bench/answers/answers.csv").read_text(encoding="utf-8")
-    assert all(cable in answers for cable in verdict["where"]["cables"])
-    assert (folder / "errors.png").is_file()
-    assert LawModel(folder / "my_arm.onnx").arm.name
+    assert (tutorial.folder / "errors.png").is_file()
+
+
+@pytest.mark.parametrize("tutorial", ["the page's arm"], indirect=True)
+def test_the_page_says_what_its_commands_print(tutorial: Played) -> None:
+    said = [step.printed for step, _ in tutorial.printed if step.printed is not None]
+    assert len(said) == 4
+    for step, text in tutorial.printed:
+        if step.printed is not None:
+            assert list(differences(step.printed, text)) == [], "make tutorial"
