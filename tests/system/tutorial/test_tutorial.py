@@ -13,7 +13,7 @@ import yaml
 from cablesense_sim.arm import Arm
 from tests.helpers.tutorial_page import PAGE, Step, differences, steps, typed
 
-pytestmark = [pytest.mark.exports, pytest.mark.slow, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.exports, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SEGMENTS = 2
 """Of the drawn arm; more take longer."""
