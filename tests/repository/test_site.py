@@ -1,5 +1,6 @@
 """What a stranger meets first: the site, the workflow and the forms."""
 
+import json
 import re
 import subprocess
 import sys
@@ -24,6 +25,9 @@ def test_the_site_builds_with_every_link_right_and_every_public_name(tmp_path):
         page = (tmp_path / "api" / package / "index.html").read_text(encoding="utf-8")
         shown = set(re.findall(rf'<h2 id="{package}\.([\w.]+)"', page))
         assert shown == set(import_module(package).__all__), package
+    index = json.loads((tmp_path / "search/search_index.json").read_text(encoding="utf-8"))
+    titles = [entry["title"].lower() for entry in index["docs"]]
+    assert any(title.startswith("stop when the force") for title in titles), "what people ask for"
 
 
 @pytest.mark.slow
