@@ -233,7 +233,7 @@ def _calibrate(path: Path) -> None:
     assert isinstance(loaded.model, LawModel)
     calibrator = Calibrator(FeltArm(ARM), loaded.model)
     unloaded = Unloaded(unloaded_n, STRAIGHT, SETTINGS.tare_samples, 10**18)
-    write_calibration(path, calibrator.from_poses([unloaded] * 2), ARM)
+    write_calibration(path, calibrator.from_poses([unloaded] * 2), FeltArm(ARM))
 
 
 def _edited_calibration(draw: Draw, content: bytes) -> bytes:

@@ -132,7 +132,7 @@ def calibrate(path: Path) -> None:
         reading_n = read_tensions_n(several_n, arm.sensors, rng).mean(axis=0)
         unloaded.append(Unloaded(reading_n, command, POSE_READINGS, time.time_ns()))
     calibrator = Calibrator(FeltArm(arm), LawModel(find_model_of(arm, ARM), arm))
-    write_calibration(path, calibrator.from_poses(unloaded), arm)
+    write_calibration(path, calibrator.from_poses(unloaded), FeltArm(arm))
 
 
 class Received(NamedTuple):

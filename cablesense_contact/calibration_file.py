@@ -1,9 +1,10 @@
-"""Calibrations as files: a NumPy archive with a JSON header, of one arm."""
+"""Calibrations as files: a NumPy archive with a JSON header, of one machine."""
 
 from __future__ import annotations
 
 import io
 import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,28 +14,57 @@ from cablesense_base import Array
 from cablesense_base.files import read_bounded_bytes, write_atomically
 from cablesense_contact.calibration import Calibration, CalibrationError, Unloaded
 from cablesense_contact.felt import FeltMachine
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_sim.arm import Arm
+from cablesense_sim.parameter_groups import GroupedParameters, ParameterGroup
 
 FORMAT = "cablesense-calibration/2"
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Of a calibration file: more than a thousand times the largest arm's."""
 
 
+@dataclass(frozen=True)
+class CalibratedMachine:
+    """The machine of a calibration, as far as its file needs it.
+
+    Attributes:
+        identity: of the machine.
+        parameters: what is uncertain about it.
+        channel_count, command_count: numbers in a reading, and in a command.
+    """
+
+    identity: str
+    parameters: GroupedParameters
+    channel_count: int
+    command_count: int
+
+    @classmethod
+    def of(cls, machine: FeltMachine) -> CalibratedMachine:
+        """Of a machine that is there."""
+        return cls(
+            machine.identity,
+            machine.parameters,
+            len(machine.channels.names),
+            len(machine.command_names),
+        )
+
+
 def write_calibration(
-    path: str | Path, calibration: Calibration, described: Arm | None = None
+    path: str | Path, calibration: Calibration, machine: FeltMachine | None = None
 ) -> None:
-    """Write a calibration file, with the arm's description where it is given.
+    """Write a calibration file, with a description of the machine where that is given.
 
     Raises:
         CalibrationError: it cannot be written.
     """
-    write_atomically(path, calibration_bytes(calibration, described), CalibrationError)
+    write_atomically(path, calibration_bytes(calibration, machine), CalibrationError)
 
 
-def calibration_bytes(calibration: Calibration, described: Arm | None = None) -> bytes:
+def calibration_bytes(calibration: Calibration, machine: FeltMachine | None = None) -> bytes:
     """The content of a calibration file: a NumPy archive with a JSON header.
 
-    With the arm's description it can be shown without the arm file (`described_arm`).
+    With the machine's description it can be shown without the machine's file (`described`): an
+    arm's whole, of others what their parameters are.
     """
     header: dict[str, object] = {
         "format": FORMAT,
@@ -43,8 +73,10 @@ def calibration_bytes(calibration: Calibration, described: Arm | None = None) ->
         "chi2": calibration.chi2,
         "compared": calibration.compared,
     }
-    if described is not None:
-        header["described"] = described.model_dump(mode="json")
+    if isinstance(machine, FeltArm):
+        header["described"] = machine.arm.model_dump(mode="json")
+    elif machine is not None:
+        header["machine"] = _as_json(CalibratedMachine.of(machine))
     unloaded = calibration.unloaded
     content = io.BytesIO()
     np.savez_compressed(
@@ -79,11 +111,13 @@ def read_calibration(path: str | Path, machine: FeltMachine) -> Calibration:
     return calibration_of(content, machine, str(path))
 
 
-def calibration_of(content: bytes, machine: FeltMachine, source: str) -> Calibration:
+def calibration_of(
+    content: bytes, machine: FeltMachine | CalibratedMachine, source: str
+) -> Calibration:
     """The calibration of a machine in the content of a file, which `source` names in errors.
 
     Raises:
-        CalibrationError: no calibration, or one of another arm.
+        CalibrationError: no calibration, or one of another machine.
     """
     header, parts = _opened(content, source)
     try:
@@ -116,29 +150,60 @@ def calibration_of(content: bytes, machine: FeltMachine, source: str) -> Calibra
         )
     except Exception as error:  # NumPy raises whatever the broken place led to
         raise _no_calibration(source) from error
-    _require_fitting(calibration, machine, source)
+    known = machine if isinstance(machine, CalibratedMachine) else CalibratedMachine.of(machine)
+    _require_fitting(calibration, known, source)
     return calibration
 
 
-def described_arm(content: bytes, source: str) -> Arm:
-    """The arm whose calibration this content of a file is, by the description in it.
+def described(content: bytes, source: str) -> Arm | CalibratedMachine:
+    """The arm or machine whose calibration this content of a file is, by the description in it.
 
     Raises:
         CalibrationError: no calibration, or one without a description.
     """
     header, _ = _opened(content, source)
-    if "described" not in header:
-        raise CalibrationError(
-            f"{source}: holds no description of its arm, {str(header.get('arm'))[:80]}; one that "
-            "`cablesense calibrate` or a commissioning has written does"
-        )
     try:
-        return Arm.model_validate(header["described"])
-    except ValueError as error:
+        if "described" in header:
+            return Arm.model_validate(header["described"])
+        if "machine" in header:
+            return _of_json(str(header["arm"]), header["machine"])
+    except (ValueError, KeyError, TypeError) as error:
         raise CalibrationError(
             f"{source}: the description of its arm cannot be true, so it was changed, or made by "
             "another version; calibrate again"
         ) from error
+    raise CalibrationError(
+        f"{source}: holds no description of its arm, {str(header.get('arm'))[:80]}; one that "
+        "`cablesense calibrate` or a commissioning has written does"
+    )
+
+
+def _as_json(machine: CalibratedMachine) -> dict[str, object]:
+    return {
+        "parameters": [asdict(group) for group in machine.parameters.groups],
+        "channel_count": machine.channel_count,
+        "command_count": machine.command_count,
+    }
+
+
+def _of_json(identity: str, plain: dict[str, Any]) -> CalibratedMachine:
+    """Raises: ValueError, KeyError or TypeError where it is not what `_as_json` gives."""
+    groups = [
+        ParameterGroup(
+            name=str(group["name"]),
+            unit=str(group["unit"]),
+            places=tuple(str(place) for place in group["places"]),
+            std=float(group["std"]),
+            mean=float(group["mean"]),
+        )
+        for group in plain["parameters"]
+    ]
+    return CalibratedMachine(
+        identity,
+        GroupedParameters(tuple(groups)),
+        int(plain["channel_count"]),
+        int(plain["command_count"]),
+    )
 
 
 def is_calibration(content: bytes) -> bool:
@@ -170,7 +235,7 @@ def _no_calibration(source: str) -> CalibrationError:
     )
 
 
-def _require_fitting(calibration: Calibration, machine: FeltMachine, path: str) -> None:
+def _require_fitting(calibration: Calibration, machine: CalibratedMachine, path: str) -> None:
     if calibration.arm_identity != machine.identity:
         raise CalibrationError(
             f"{path}: is of arm {calibration.arm_identity[:80]}, not of {machine.identity}; "
@@ -186,7 +251,7 @@ def _require_fitting(calibration: Calibration, machine: FeltMachine, path: str) 
         )
     numbers = [calibration.mean, calibration.covariance, calibration.prior_mean]
     numbers += [calibration.prior_covariance, np.array([calibration.chi2])]
-    expected = (len(machine.channels.names),), (len(machine.command_names),)
+    expected = (machine.channel_count,), (machine.command_count,)
     for one in calibration.unloaded:
         shapes = one.reading_n.shape, one.command_rad.shape
         if shapes != expected:

@@ -29,14 +29,14 @@ from cablesense_sim.touch import touched_places
 
 BEND_RAD = float(np.deg2rad(10.0))
 """Joint angles of the poses, at most."""
-FORCE_N = 20.0
+_ARM_FORCE_N = 20.0
 """Of each contact by which arms are compared."""
 _POSES = 6
 """Random poses in which every segment is touched."""
-_AXIAL_STD_N = 10.0
-"""Prior deviation of the axial force."""
-_LATERAL_STD_N = 100.0
-"""Prior deviation of each lateral component: five times `FORCE_N`, so that it says little."""
+_AXIAL_STD = 0.5
+"""Prior deviation of the axial force, over the contact's force."""
+_LATERAL_STD = 5.0
+"""The same of each lateral component: so large that it says little."""
 _SEED = 20
 """Of poses and directions: all arms and calibrations are compared on the same contacts."""
 
@@ -56,9 +56,10 @@ class ContactResponse(NamedTuple):
 
 
 class ReferenceLoads(NamedTuple):
-    """T contacts of `FORCE_N`, and what is read of the machine that bears them.
+    """T contacts of one force, and what is read of the machine that bears them.
 
     Attributes:
+        force_n: of each.
         reading: (T, M) without noise.
         command: (T, C).
         link: (T,) numbers of the links, from 0 on.
@@ -67,6 +68,7 @@ class ReferenceLoads(NamedTuple):
         reach_m: (T, 2) where such a link is touched.
     """
 
+    force_n: float
     reading: Array
     command: Array
     link: NDArray[np.int64]
@@ -75,8 +77,25 @@ class ReferenceLoads(NamedTuple):
     reach_m: Array
 
 
+class KnownForce(NamedTuple):
+    """How well one reading tells the force of a contact.
+
+    Attributes:
+        push_n: the force.
+        half_interval_n: half of its 95 % interval, the median of many such contacts.
+    """
+
+    push_n: float
+    half_interval_n: float
+
+    @property
+    def text(self) -> str:
+        """As a part of a sentence."""
+        return f"a push of {self.push_n:g} N is known to ± {self.half_interval_n:.2g} N"
+
+
 class ReferenceContacts:
-    """Contacts of `FORCE_N` across every link of a machine, in several poses.
+    """Contacts of one force across every link of a machine, in several poses.
 
     Attributes:
         prior_precision: (T, 4, 4) of place and force, before any reading.
@@ -88,8 +107,8 @@ class ReferenceContacts:
         reach_m = contacts.reach_m
         variances = np.empty((len(reach_m), 4))
         variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
-        variances[:, 1] = _AXIAL_STD_N**2
-        variances[:, 2:] = _LATERAL_STD_N**2
+        variances[:, 1] = (_AXIAL_STD * contacts.force_n) ** 2
+        variances[:, 2:] = (_LATERAL_STD * contacts.force_n) ** 2
         self.prior_precision = np.eye(4) / variances[:, None]
         self._unrest = np.zeros((torque_count, torque_count))
 
@@ -112,10 +131,11 @@ class ReferenceContacts:
         direction = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
         axes = kinematics.segment_rotations(mechanism, command_rad)[rows, segment]
         forces_n = np.zeros((len(segment), count, 3))
-        forces_n[rows, segment] = FORCE_N * (axes @ direction[:, :, None])[..., 0]
+        forces_n[rows, segment] = _ARM_FORCE_N * (axes @ direction[:, :, None])[..., 0]
         held_m = held_lengths_m(nominal, command_rad)
         rest = solve_equilibrium(mechanism, command_rad, forces_n, held_m=held_m)
         loads = ReferenceLoads(
+            force_n=_ARM_FORCE_N,
             reading=rest.tensions_n,
             command=command_rad,
             link=segment,
@@ -132,15 +152,16 @@ class ReferenceContacts:
         rows = np.arange(len(loads.link))
         by_place = seen.by_place[rows, loads.link]
         by_force = seen.at_joint_m[rows, loads.link] + loads.place_m[:, None, None] * by_place
-        moved = FORCE_N * (loads.direction[:, None] @ by_place)
+        moved = loads.force_n * (loads.direction[:, None] @ by_place)
         by_contact = seen.by_torque @ np.concatenate([moved, by_force], axis=1).transpose(0, 2, 1)
         return ContactResponse(by_contact, seen.by_parameter, seen.information_n2)
 
-    def force_known_n(self, law: Law, mean: Array, covariance: Array) -> float:
-        """Half of the 95 % interval of a contact's size as one reading tells it: the median, N."""
+    def known_force(self, law: Law, mean: Array, covariance: Array) -> KnownForce:
+        """How well one reading tells a contact's force, at mean (P,) and covariance (P, P)."""
         seen = self.response(law, mean, covariance)
         information = seen.by_contact.transpose(0, 2, 1) @ seen.information_n2 @ seen.by_contact
         spread = np.linalg.inv(information + self.prior_precision)[:, 1:, 1:]
         direction = self._loads.direction
         variance = np.einsum("ti,tij,tj->t", direction, spread, direction)
-        return NORMAL_95 * float(np.median(np.sqrt(variance)))
+        half_interval_n = NORMAL_95 * float(np.median(np.sqrt(variance)))
+        return KnownForce(self._loads.force_n, half_interval_n)

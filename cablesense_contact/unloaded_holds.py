@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cablesense_base import Array
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Unloaded
 from cablesense_recording.recording import Recording, RecordingError
@@ -15,14 +17,19 @@ SETTLING_S = 1.0
 """Readings this soon after a move, or after a load was taken off, are left out."""
 FEWEST_READINGS = 3
 """Of a hold that counts, after it has settled."""
+_ONE_POSE = 1e-3
+"""Measured joints are in one pose while they are within this of its first row, rad or m."""
 
 
-def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
+def unloaded_holds(
+    recording: Recording, ended_ns: int = 0, *, measured: bool = False
+) -> list[Unloaded]:
     """The mean reading of each stay at one command without a load, in time order.
 
     Args:
         recording: in which `load_segment` is 0 where nothing acts on the arm.
         ended_ns: time of the last row since the epoch; 0 where it is not known.
+        measured: whether its commands are measured positions, which have noise.
 
     Raises:
         RecordingError: there is none.
@@ -30,10 +37,11 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     holds: list[Unloaded] = []
     way = LastWay()
     end = 0
-    for rows in _stays(recording):
+    for rows in _stays(recording, _ONE_POSE if measured else 0.0):
         if rows.start != end or recording.trial[rows.start] != recording.trial[end - 1]:
             way = LastWay()
-        way = way.to(recording.command_rad[rows.start])
+        if not measured:
+            way = way.to(recording.command_rad[rows.start])
         end = rows.stop
         begun_s = recording.time_s[rows.start]
         times_s = recording.time_s[rows]
@@ -46,6 +54,8 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
         taken_ns = ended_ns - round(1e9 * before_end_s) if ended_ns else 0
         readings_n = recording.tensions_n[rows][settled]
         command_rad = recording.command_rad[rows.start]
+        if measured:
+            command_rad = recording.command_rad[rows][settled].mean(axis=0)
         holds.append(
             Unloaded(
                 readings_n.mean(axis=0), command_rad, len(readings_n), taken_ns, way.came_from_rad
@@ -60,10 +70,10 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     return holds
 
 
-def _stays(recording: Recording) -> Iterator[slice]:
-    """Runs of rows without a load and with one and the same command."""
+def _stays(recording: Recording, within: float) -> Iterator[slice]:
+    """Runs of rows without a load and with one command, to within some deviation of the first."""
     unloaded = recording.load_segment == 0
-    moved = (np.diff(recording.command_rad, axis=0) != 0.0).any(axis=1)
+    moved = _moved(recording.command_rad, within)
     other_trial = np.diff(recording.trial) != 0
     loaded = np.diff(unloaded.astype(int)) != 0
     ends = np.flatnonzero(moved | loaded | other_trial) + 1
@@ -71,3 +81,16 @@ def _stays(recording: Recording) -> Iterator[slice]:
     for start, stop in pairwise(bounds):
         if unloaded[start]:
             yield slice(start, stop)
+
+
+def _moved(commands: Array, within: float) -> NDArray[np.bool_]:
+    """(R - 1,) whether a row's command (C,) is another than that of the stay it would continue."""
+    if not within:
+        return np.asarray((np.diff(commands, axis=0) != 0.0).any(axis=1))
+    moved = np.zeros(max(len(commands) - 1, 0), dtype=bool)
+    first = 0
+    for row in range(1, len(commands)):
+        if np.abs(commands[row] - commands[first]).max() > within:
+            moved[row - 1] = True
+            first = row
+    return moved

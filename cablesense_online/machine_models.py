@@ -31,7 +31,8 @@ class LoadedMachine(Loaded):
     def __init__(self, machine: Machine, law: MachineLaw, path: str) -> None:
         largest_n = machine.source.file.touch.largest_n
         self._felt = FeltModel(machine)
-        super().__init__(self._felt, path, ModelSummary("anywhere", largest_n, np.inf))
+        summary = ModelSummary("anywhere", largest_n, np.inf)
+        super().__init__(self._felt, machine, path, summary)
         self.source = machine
         self._law = law
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cablesense_contact.calibration import Calibration
 from cablesense_contact.calibration_file import read_calibration
@@ -25,6 +26,9 @@ from cablesense_online.contacts import ContactFinder, LawContacts, NetworkContac
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tared_arm import TaredArm
 from cablesense_sim.arm import Arm, open_arm
+
+if TYPE_CHECKING:
+    from cablesense_recording.layout import Described
 
 AnyModel = LawModel | Estimator | MultiEstimator
 
@@ -49,12 +53,16 @@ class Loaded(ABC):
 
     Attributes:
         machine: the machine.
+        described: what recordings of it are read by.
         path: of the model file.
         summary: of the model.
     """
 
-    def __init__(self, machine: FeltMachine, path: str, summary: ModelSummary) -> None:
+    def __init__(
+        self, machine: FeltMachine, described: Described, path: str, summary: ModelSummary
+    ) -> None:
         self.machine = machine
+        self.described = described
         self.path = path
         self.summary = summary
 
@@ -104,7 +112,7 @@ class LoadedModel(Loaded):
     def __init__(self, arm: Arm, model: AnyModel, path: str) -> None:
         metadata = model.metadata
         summary = ModelSummary(metadata.network, metadata.force_range_n, metadata.pose_range_deg)
-        super().__init__(FeltArm(arm), path, summary)
+        super().__init__(FeltArm(arm), arm, path, summary)
         self.arm = arm
         self.model = model
 

@@ -12,7 +12,7 @@ from cablesense_base import CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import Law
-from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
+from cablesense_contact.reference_contacts import KnownForce, ReferenceContacts
 from cablesense_msgs_py.messages import ForceState, Level, Status
 from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathState
@@ -255,7 +255,7 @@ def awaited_tare(state: EstimationState, settings: EstimationSettings) -> str:
 
 
 class ForceKnown:
-    """How well a push of `FORCE_N` would be known after a move to another pose."""
+    """How well a push would be known after a move to another pose."""
 
     def __init__(
         self, machine: FeltMachine, law: Law, contacts: Callable[[], ReferenceContacts]
@@ -264,21 +264,21 @@ class ForceKnown:
         self._contacts = contacts
         self._law = law
         self._calibrator = Calibrator(machine, law)
-        self._last: tuple[Calibration, float | None] | None = None
+        self._last: tuple[Calibration, KnownForce | None] | None = None
 
-    def half_interval_n(self, calibration: Calibration) -> float | None:
-        """Half of the 95 % interval of the force, N; None where the arm bears no such push."""
+    def by(self, calibration: Calibration) -> KnownForce | None:
+        """By a calibration; None where the machine bears no such push."""
         if self._last is None or not _same(self._last[0], calibration):
-            self._last = calibration, self._half_interval_n(calibration)
+            self._last = calibration, self._known_by(calibration)
         return self._last[1]
 
-    def _half_interval_n(self, calibration: Calibration) -> float | None:
+    def _known_by(self, calibration: Calibration) -> KnownForce | None:
         try:
             contacts = self._reference_contacts
         except CableSenseError:  # the machine bears no such push
             return None
         moved = self._calibrator.moved(calibration)
-        return contacts.force_known_n(self._law, moved.mean, moved.covariance)
+        return contacts.known_force(self._law, moved.mean, moved.covariance)
 
     @cached_property
     def _reference_contacts(self) -> ReferenceContacts:
@@ -291,12 +291,12 @@ def _same(one: Calibration, other: Calibration) -> bool:
 
 
 def tare_status(
-    state: EstimationState, settings: EstimationSettings, force_known_n: float | None
+    state: EstimationState, settings: EstimationSettings, known_force: KnownForce | None
 ) -> Status:
-    """How well the unloaded arm is known; `force_known_n` as `ForceKnown` has it."""
+    """How well the unloaded arm is known; `known_force` as `ForceKnown` has it."""
     unloaded = state.unloaded
     if isinstance(unloaded, CalibratedState):
-        return _calibration_status(state, unloaded, settings, force_known_n)
+        return _calibration_status(state, unloaded, settings, known_force)
     since = utc_text(unloaded.tares[-1].unloaded.taken_ns) if unloaded.tares else ""
     return _known_status(state, settings, f"tared since {since}", {})
 
@@ -305,7 +305,7 @@ def _calibration_status(
     state: EstimationState,
     unloaded: CalibratedState,
     settings: EstimationSettings,
-    force_known_n: float | None,
+    known_force: KnownForce | None,
 ) -> Status:
     calibration = unloaded.calibration
     values = {
@@ -316,9 +316,9 @@ def _calibration_status(
     message = f"known by {calibration.made_from}"
     if tares := len(unloaded.tares):
         message += f" and {tares} tare{'s' * (tares > 1)}"
-    if force_known_n is not None:
-        values["force known to (N)"] = f"{force_known_n:.3f}"
-        message += f": a push of {FORCE_N:g} N to ±{force_known_n:.2f} N"
+    if known_force is not None:
+        values["force known to (N)"] = f"{known_force.half_interval_n:.3f}"
+        message += f": {known_force.text}"
     status = _known_status(state, settings, message, values)
     if status.level is Level.OK and not calibration.as_described:
         return Status(

@@ -15,23 +15,17 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array, some_of
-from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
+from cablesense_msgs_py.messages import MAX_LOAD_N
 from cablesense_recording.channel_checks import (
     constant_channels,
     huge_values,
     silent_rows,
     time_findings,
 )
-from cablesense_recording.channels import (
-    LOAD,
-    LOAD_AT,
-    LOAD_SEGMENT,
-    TIME,
-    command_columns,
-    tension_columns,
-)
+from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME, tension_columns
 from cablesense_recording.column_map import ColumnMap
 from cablesense_recording.csv_file import CSV_ENDINGS, read_csv
+from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.mapped import read_mapped
 from cablesense_recording.mcap_file import is_bag, read_mcap
 from cablesense_recording.recording import (
@@ -74,12 +68,12 @@ _BETTER = 0.4
 
 
 def read_recording(
-    path: str | Path, arm: Arm, topics: Sequence[str] = (), columns: ColumnMap | None = None
+    path: str | Path, arm: Described, topics: Sequence[str] = (), columns: ColumnMap | None = None
 ) -> Recording:
     """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
 
-    Of a bag with several arms that is read whose `topics` are given. `columns` says what columns
-    of other names and units mean.
+    It is of an arm, or of another machine that is opened. Of a bag with several that is read whose
+    `topics` are given. `columns` says what columns of other names and units mean.
 
     Raises:
         RecordingError: no such file, another format, or what cannot be used.
@@ -103,14 +97,21 @@ def read_recording(
     return recording
 
 
-def check_form(recording: Recording, arm: Arm) -> list[Finding]:
+def check_form(recording: Recording, machine: Described) -> list[Finding]:
     """Problems of a recording by itself, whatever it is for: shapes, numbers, time, labels.
 
     The worst come first; later checks wait for earlier ones.
     """
-    findings: list[Finding] = []
-    for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
-        findings = findings or [f for check in checks for f in check(recording, arm)]
+    layout = layout_of(machine)
+    rate_hz = machine.sensors.rate_hz if isinstance(machine, Arm) else None
+    findings = list(_shapes(recording, layout)) or list(_numbers(recording, layout))
+    if not findings:
+        findings += _time(recording, layout, rate_hz)
+        findings += _labels(recording, layout)
+        beyond = list(_commands(recording, layout))
+        findings += beyond
+        if isinstance(machine, Arm) and not beyond:
+            findings += _angles(recording, machine)
     return sorted(findings, key=lambda each: not each.refuses)
 
 
@@ -131,21 +132,23 @@ def check_recording(
     return sorted(findings, key=lambda each: not each.refuses)
 
 
-def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
+def _shapes(recording: Recording, layout: Layout) -> Iterator[Finding]:
     if len(recording) == 0:
         yield refuse("rows", "has no rows; it must have one per sample")
+    channels = len(layout.channel_names)
+    joints = len(layout.command_names)
     for kind, values, wanted, has, right in (
-        ("cables", recording.tensions_n, arm.cable_count, "tensions", "cables"),
-        ("joints", recording.command_rad, arm.joint_count, "commanded angles", "joint angles"),
+        ("cables", recording.tensions_n, channels, "tensions", "cables"),
+        ("joints", recording.command_rad, joints, "commanded angles", "joint angles"),
     ):
         if values.shape[1:] != (wanted,):
             count = values.shape[-1]
-            yield refuse(kind, f"has {count} {has} a row; arm {arm.name} has {wanted} {right}")
+            yield refuse(kind, f"has {count} {has} a row; {layout.name} has {wanted} {right}")
 
 
-def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    joints = command_columns(arm.joint_count)
-    cables = tension_columns(arm.cable_count)
+def _numbers(recording: Recording, layout: Layout) -> Iterator[Finding]:
+    joints = layout.command_columns
+    cables = layout.reading_columns
     numbers = [recording.time_s, recording.command_rad, recording.load_n, recording.tensions_n]
     columns = np.column_stack(numbers).T
     for name, values in zip([TIME, *joints, *LOAD, *cables], columns, strict=True):
@@ -159,7 +162,8 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
             yield from huge_values(name, values)
 
 
-def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
+def _time(recording: Recording, layout: Layout, rate_hz: float | None) -> Iterator[Finding]:
+    """Findings on the clock; `rate_hz` is that of the sensors, where it is known."""
     steps = np.diff(recording.time_s)
     same_trial = np.diff(recording.trial) == 0
     wrong = list(time_findings(recording.time_s, np.zeros(len(recording), dtype=bool)))
@@ -169,19 +173,19 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     within = steps[same_trial]
     if within.size:
         usual = float(np.median(within))
-        slower = usual * arm.sensors.rate_hz
+        slower = 1.0 if rate_hz is None else usual * rate_hz
         if _MILLISECONDS[0] <= slower <= _MILLISECONDS[1]:
             yield refuse(
                 "milliseconds",
-                f"rows come every {usual:g} s, and the sensors of arm {arm.name} read every "
-                f"{1.0 / arm.sensors.rate_hz:g} s; {TIME} must be in s, not in milliseconds",
+                f"rows come every {usual:g} s, and the sensors of {layout.name} read every "
+                f"{usual / slower:g} s; {TIME} must be in s, not in milliseconds",
             )
             return
         if not 1.0 / _OTHER_RATE <= slower <= _OTHER_RATE:
             yield warn(
                 "rate",
-                f"rows come every {usual:.3g} s, where sensors.rate_hz = {arm.sensors.rate_hz:g} "
-                f"of arm {arm.name} says every {1.0 / arm.sensors.rate_hz:g} s; see whether "
+                f"rows come every {usual:.3g} s, where sensors.rate_hz = {rate_hz:g} "
+                f"of {layout.name} says every {usual / slower:g} s; see whether "
                 "times are in s, and whether the arm file is that of this arm",
             )
         gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
@@ -201,15 +205,16 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
         )
 
 
-def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
+def _labels(recording: Recording, layout: Layout) -> Iterator[Finding]:
+    count = len(layout.link_names)
     segment = recording.load_segment
     loaded = (recording.load_n != 0.0).any(axis=1)
-    outside = (segment < 0) | (segment > arm.segment_count)
+    outside = (segment < 0) | (segment > count)
     if outside.any():
         yield refuse(
             "segment",
             f"{LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
-            f"be from 1 to {arm.segment_count}, or 0 without a load",
+            f"be from 1 to {count}, or 0 without a load",
         )
     unnamed = loaded & (segment == 0)
     if unnamed.any():
@@ -219,17 +224,17 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
             "segment it acts on, or give 0 N",
         )
     if recording.load_at_m is not None:
-        length_m = mechanism_of(arm).segment_length_m
-        own_m = length_m[np.clip(segment, 1, arm.segment_count) - 1]
+        low_m, high_m = layout.touched_m[np.clip(segment, 1, count) - 1].T
         at_m = recording.load_at_m
-        off = (segment > 0) & ((at_m < 0.0) | (at_m > own_m))
+        off = (segment > 0) & ((at_m < low_m) | (at_m > high_m))
         if off.any():
             first = int(np.argmax(off))
+            link = layout.link_names[segment[first] - 1].replace("_", " ")
             yield refuse(
                 "place",
-                f"{LOAD_AT} is {at_m[first]:g} in {rows_named(off)}; on segment {segment[first]} "
-                f"it must be from 0 to {own_m[first]:g} m from the joint centre, or empty for "
-                "contact_m of the arm file",
+                f"{LOAD_AT} is {at_m[first]:g} in {rows_named(off)}; on {link} it must be from "
+                f"{low_m[first]:g} to {high_m[first]:g} m along its axis, or empty for "
+                f"{layout.default_m}",
             )
     huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
     if huge.any():
@@ -238,16 +243,19 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
         )
 
 
-def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
+def _commands(recording: Recording, layout: Layout) -> Iterator[Finding]:
     command = recording.command_rad
-    far = np.asarray((np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1))
+    far = np.asarray((np.abs(command) > layout.largest_command).any(axis=1))
     if far.any():
         yield refuse(
             "degrees",
             f"a commanded angle is {np.abs(command).max():.4g} rad in {rows_named(far)}; angles "
             "are in rad, and these seem to be degrees",
         )
-        return
+
+
+def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
+    command = recording.command_rad
     limit = mechanism_of(arm).bend_limit_rad
     bent = np.asarray((kinematics.bend_rad(command) >= limit).any(axis=1))
     if bent.any():

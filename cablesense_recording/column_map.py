@@ -1,4 +1,4 @@
-"""The columns of somebody else's recording: which hold what of an arm, and in which units.
+"""The columns of somebody else's recording: which hold what of a machine, and in which units.
 
 A YAML file names them (docs/recordings.md, Columns of your own). Whatever it leaves out has the
 name that a recording of ours has.
@@ -16,16 +16,9 @@ from pydantic import model_validator
 from cablesense_base import some_of
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import FilePart, Number, read_plain
-from cablesense_recording.channels import (
-    LOAD,
-    LOAD_AT,
-    LOAD_SEGMENT,
-    TIME,
-    command_columns,
-    tension_columns,
-)
+from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME
+from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.recording import RecordingError
-from cablesense_sim.arm import Arm
 
 MAX_FILE_BYTES = 100_000
 FORCE_UNITS: Final = {
@@ -52,7 +45,7 @@ class Channels(FilePart):
     """The channels of all cables, or of all joint angles.
 
     Attributes:
-        columns: their names, in the order of the arm's cables, or pitch and yaw of each joint.
+        columns: their names, in the machine's order; of an arm's joints pitch, then yaw.
         unit: of the numbers.
         scale: the numbers are multiplied by it too; -1 turns signs.
         topic: of a bag, the messages that hold them: `sensor_msgs/JointState`, or one with `data`.
@@ -106,13 +99,13 @@ class ColumnMap(FilePart):
     trial: str = ""
     loads: Loads | None = None
 
-    def tension_columns(self, arm: Arm) -> Sequence[str]:
-        """The columns of the arm's M cables."""
-        return self.tensions.columns or tension_columns(arm.cable_count)
+    def tension_columns(self, layout: Layout) -> Sequence[str]:
+        """The columns of the machine's M channels."""
+        return self.tensions.columns or layout.reading_columns
 
-    def command_columns(self, arm: Arm) -> Sequence[str]:
-        """The columns of the arm's 2N joint angles; none where they are held."""
-        return self.commands.columns or command_columns(arm.joint_count)
+    def command_columns(self, layout: Layout) -> Sequence[str]:
+        """The columns of the C numbers of a command."""
+        return self.commands.columns or layout.command_columns
 
     @property
     def with_loads(self) -> ColumnMap:
@@ -140,13 +133,14 @@ class ColumnMap(FilePart):
         return TIME_UNITS[self.time.unit]
 
 
-def read_column_map(path: str | Path, arm: Arm) -> ColumnMap:
-    """The map in a YAML file, for an arm.
+def read_column_map(path: str | Path, machine: Described) -> ColumnMap:
+    """The map in a YAML file, for a machine.
 
     Raises:
-        RecordingError: unreadable, an unknown key or unit, or not as many columns as the arm has
-            cables or joint angles.
+        RecordingError: unreadable, an unknown key or unit, or not as many columns as the machine
+            has channels or numbers in a command.
     """
+    layout = layout_of(machine)
     text = read_bounded_text(path, MAX_FILE_BYTES, "a map of columns (.yaml)", RecordingError)
     described = read_plain(text, str(path), ColumnMap, RecordingError)
     _require_unit(path, "tensions.unit", described.tensions.unit, FORCE_UNITS)
@@ -155,9 +149,12 @@ def read_column_map(path: str | Path, arm: Arm) -> ColumnMap:
     if described.loads is not None:
         _require_unit(path, "loads.unit", described.loads.unit, FORCE_UNITS)
         _require_unit(path, "loads.at_unit", described.loads.at_unit, LENGTH_UNITS)
-    _require_count(path, "tensions.columns", described.tensions.columns, arm.cable_names, arm)
-    _require_count(path, "commands.columns", described.commands.columns, arm.joint_names, arm)
-    _require_count(path, "commands.held", described.commands.held, arm.joint_names, arm)
+    tensions = described.tensions
+    commands = described.commands
+    owner = layout.name
+    _require_count(path, "tensions.columns", tensions.columns, layout.channel_names, owner)
+    _require_count(path, "commands.columns", commands.columns, layout.command_names, owner)
+    _require_count(path, "commands.held", commands.held, layout.command_names, owner)
     if described.tensions.held:
         raise RecordingError(f"{path}: tensions.held: readings are never constant; name columns")
     return described
@@ -172,11 +169,11 @@ def _require_unit(path: str | Path, key: str, unit: str, units: Mapping[str, flo
 
 
 def _require_count(
-    path: str | Path, key: str, given: Sequence[object], names: Sequence[str], arm: Arm
+    path: str | Path, key: str, given: Sequence[object], names: Sequence[str], owner: str
 ) -> None:
     if given and len(given) != len(names):
         raise RecordingError(
-            f"{path}: {key} has {len(given)} entries; arm {arm.name} needs {len(names)}, in the "
+            f"{path}: {key} has {len(given)} entries; {owner} needs {len(names)}, in the "
             f"order {some_of(names, 4)}"
         )
     repeated = [each for each in given if isinstance(each, str) and given.count(each) > 1]

@@ -1,6 +1,7 @@
 """Recordings as CSV: one row per sample, columns named with their units (docs/recordings.md).
 
-`read_table` reads the columns of any recording; `read_csv` and `write_csv` are those of an arm.
+`read_table` reads the columns of any recording, `read_csv` those of an arm or of a machine that
+MuJoCo describes; `write_csv` writes those of an arm.
 """
 
 from __future__ import annotations
@@ -29,8 +30,14 @@ from cablesense_recording.channels import (
     command_columns,
     tension_columns,
 )
-from cablesense_recording.recording import MAX_NUMBERS, Recording, RecordingError, given_places
-from cablesense_sim.arm import Arm
+from cablesense_recording.layout import LABELS, Described, Layout, layout_of
+from cablesense_recording.recording import (
+    MAX_NUMBERS,
+    Recording,
+    RecordingError,
+    derive_trials,
+    given_places,
+)
 
 LONGEST_S: Final = 1e10
 """Any time is nearer to any epoch, and rows a microsecond apart can still be distinguished."""
@@ -148,17 +155,18 @@ def write_table(path: str | Path, columns: Mapping[str, Any], float_format: str)
         )
 
 
-def read_csv(path: str | Path, arm: Arm) -> Recording:
-    """Read a recording of an arm. Only the form is checked here, the content by `checks`.
+def read_csv(path: str | Path, machine: Described) -> Recording:
+    """Read a recording of a machine. Only the form is checked here, the content by `checks`.
+
+    Of an arm it has trials and loads. Of another machine, without these columns trials are derived
+    and nothing acts on it.
 
     Raises:
-        RecordingError: as `read_table`; a column is missing or belongs to another arm.
+        RecordingError: as `read_table`; a column is missing or belongs to another machine.
     """
     path = Path(path)
-    wanted = all_columns(arm.joint_count, arm.cable_count)
-    values = read_table(path, (TIME, TRIAL, "load_", "q", "tension_"))
-    values = {k: v for k, v in values.items() if not k.startswith("q") or k.endswith("_cmd_rad")}
-    _check_columns(path, values, wanted, arm)
+    layout = layout_of(machine)
+    values = _columns_of(path, layout)
 
     def stacked(names: Sequence[str]) -> Array:
         return np.stack([values[name] for name in names], axis=1)
@@ -172,16 +180,64 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
             )
         return column.astype(np.int64)
 
+    time_s = values[TIME]
+    command = stacked(layout.command_columns)
+    segment = np.zeros(len(time_s), dtype=np.int64)
+    load_n = np.zeros((len(time_s), 3))
+    if LOAD_SEGMENT in values:
+        segment = whole(LOAD_SEGMENT)
+        load_n = stacked(LOAD)
+    place_m = given_places(values.get(LOAD_AT))
+    if TRIAL in values:
+        trial = whole(TRIAL)
+    else:
+        trial = derive_trials(time_s, command, segment, load_n, place_m)
     return Recording(
         name=csv_stem(path),
-        time_s=values[TIME],
-        trial=whole(TRIAL),
-        command_rad=stacked(command_columns(arm.joint_count)),
-        load_segment=whole(LOAD_SEGMENT),
-        load_n=stacked(LOAD),
-        tensions_n=stacked(tension_columns(arm.cable_count)),
-        load_at_m=given_places(values.get(LOAD_AT)),
+        time_s=time_s,
+        trial=trial,
+        command_rad=command,
+        load_segment=segment,
+        load_n=load_n,
+        tensions_n=stacked(layout.reading_columns),
+        load_at_m=place_m,
     )
+
+
+def _columns_of(path: Path, layout: Layout) -> dict[str, Array]:
+    """The columns (R,) of a recording that a layout has.
+
+    Raises:
+        RecordingError: as `read_table`; a column is missing or belongs to another machine.
+    """
+    needed = [TIME, *layout.command_columns, *layout.reading_columns]
+    known = {*needed, *LABELS, LOAD_AT}
+    prefixes = (*known, "q", "tension_") if layout.needs_labels else known
+    read = read_table(path, prefixes)
+    values = {
+        name: column for name, column in read.items() if name in known or layout.is_foreign(name)
+    }
+    of_load = (LOAD_SEGMENT, *LOAD)
+    if layout.needs_labels:
+        needed += LABELS
+    elif any(name in values for name in of_load):
+        needed += of_load
+    beyond = [name for name in values if name not in known]
+    missing = [name for name in needed if name not in values]
+    problems = [f"misses {some_of(missing)}"] if missing else []
+    problems += [f"has {some_of(beyond)}, which that machine has not"] if beyond else []
+    if problems:
+        labels = f"{TRIAL}, " if layout.needs_labels else ""
+        loads = f", {', '.join(of_load)}" if layout.needs_labels else ""
+        raise RecordingError(
+            f"{path}: {' and '.join(problems)}; a recording of {layout.name} has {TIME}, {labels}"
+            f"{_from_to(layout.command_columns)}{loads}, {_from_to(layout.reading_columns)}"
+        )
+    return values
+
+
+def _from_to(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}"
 
 
 def write_csv(path: str | Path, recording: Recording) -> None:
@@ -261,16 +317,3 @@ def _no_utf8(path: Path) -> str:
                     f"{shown!r}); save the file as UTF-8"
                 )
     return "is no UTF-8 text; save it as UTF-8"
-
-
-def _check_columns(path: Path, found: Collection[str], wanted: list[str], arm: Arm) -> None:
-    beyond = [name for name in found if name not in wanted and not name.startswith("load_")]
-    missing = [name for name in wanted if name not in found]
-    problems = [f"misses {some_of(missing)}"] if missing else []
-    problems += [f"has {some_of(beyond)}, which that arm has not"] if beyond else []
-    if problems:
-        raise RecordingError(
-            f"{path}: {' and '.join(problems)}; a recording of arm {arm.name} has time_s, trial, "
-            f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, "
-            f"load_z_n, tension_1_n … tension_{arm.cable_count}_n"
-        )

@@ -13,6 +13,7 @@ from cablesense_base import Array, some_of
 from cablesense_base.files import plain_name
 from cablesense_recording.column_map import FORCE_UNITS, LENGTH_UNITS, Channels, ColumnMap
 from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.mcap_file import decoded, is_bag
 from cablesense_recording.mcap_messages import RawMessage
 from cablesense_recording.recording import (
@@ -23,12 +24,11 @@ from cablesense_recording.recording import (
     given_places,
     one_clock,
 )
-from cablesense_sim.arm import Arm
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
-def read_mapped(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
+def read_mapped(path: Path, machine: Described, columns: ColumnMap) -> Recording:
     """Read a CSV file, a .mcap file or a rosbag2 folder by a map of its columns.
 
     Without loads in the map there is none in any row; without trials these are derived. Of a bag
@@ -37,18 +37,19 @@ def read_mapped(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
     Raises:
         RecordingError: no recording, or it lacks what the map names.
     """
+    layout = layout_of(machine)
     if path.name.lower().endswith(CSV_ENDINGS):
-        return _read_csv(path, arm, columns)
+        return _read_csv(path, layout, columns)
     if is_bag(path):
-        return _read_bag(path, arm, columns)
+        return _read_bag(path, layout, columns)
     raise RecordingError(
         f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"
     )
 
 
-def _read_csv(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
-    tensions = columns.tension_columns(arm)
-    commands = () if columns.commands.held else columns.command_columns(arm)
+def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
+    tensions = columns.tension_columns(layout)
+    commands = () if columns.commands.held else columns.command_columns(layout)
     wanted = [columns.time.column, *tensions, *commands]
     wanted += [columns.trial] if columns.trial else []
     loads = columns.loads
@@ -85,7 +86,7 @@ def _read_csv(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
     )
 
 
-def _read_bag(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
+def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     if columns.loads is not None or columns.trial:
         raise RecordingError(
             f"{path}: known loads and trials of a bag are not read by a map of columns; name its "
@@ -93,7 +94,7 @@ def _read_bag(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
             "trial), or write the recording as CSV"
         )
     tension_topic = columns.tensions.topic or "/cable_tensions"
-    command_topic = columns.commands.topic or "/joint_commands"
+    command_topic = columns.commands.topic or f"/{layout.command_topic}"
     held = columns.commands.held
     command: Array | None = np.array(held) if held else None
     times_ns: list[tuple[int, int]] = []
@@ -105,16 +106,16 @@ def _read_bag(path: Path, arm: Arm, columns: ColumnMap) -> Recording:
         topics.add(raw.topic)
         return raw.topic in (tension_topic, command_topic)
 
-    most_rows = MAX_NUMBERS // (7 + arm.joint_count + arm.cable_count)
+    joints = layout.command_names
+    channels = layout.channel_names
+    most_rows = MAX_NUMBERS // (7 + len(joints) + len(channels))
     for raw, message in decoded(path, wanted):
         if raw.topic == command_topic and not held:
-            command = _numbers(path, raw, message, columns.commands, arm.joint_names, "position")
+            command = _numbers(path, raw, message, columns.commands, joints, "position")
         if raw.topic == tension_topic and command is not None:
             times_ns.append((raw.log_ns, _stamp_ns(message)))
             commands.append(command)
-            tensions.append(
-                _numbers(path, raw, message, columns.tensions, arm.cable_names, "effort")
-            )
+            tensions.append(_numbers(path, raw, message, columns.tensions, channels, "effort"))
         if len(times_ns) > most_rows:
             raise RecordingError(f"{path}: more than {most_rows} samples; split it")
     if not times_ns:
@@ -159,7 +160,7 @@ def _numbers(
     names: Sequence[str],
     usual_field: str,
 ) -> Array:
-    """The numbers of one message, in the arm's order."""
+    """The numbers of one message, in the machine's order."""
     if raw.kind == _JOINT_STATE:
         values = list(getattr(message, channels.field or usual_field))
         by_name = dict(zip(message.name, values, strict=False))

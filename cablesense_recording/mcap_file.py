@@ -18,16 +18,11 @@ import numpy as np
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import plain_name
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import (
-    Load,
-    NamedOrder,
-    cable_offsets_m,
-    joint_command_rad,
-    read_load,
-)
-from cablesense_msgs_py.qos import INPUTS
+from cablesense_msgs_py.messages import Load, NamedOrder, cable_offsets_m, joint_command_rad
+from cablesense_msgs_py.qos import CONTRACT, INPUTS
 from cablesense_msgs_py.serialized import require_bounded
-from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_msgs_py.topics import ContractError
+from cablesense_recording.layout import Described, layout_of
 from cablesense_recording.mcap_messages import (
     LEAST_BYTES,
     McapMessages,
@@ -42,10 +37,6 @@ from cablesense_recording.recording import (
     given_places,
     one_clock,
 )
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.loads import contact_of_wrench
-from cablesense_sim.touch import touched_places
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
@@ -57,12 +48,8 @@ TOPIC_OPTION = "--topic"
 """The option of `cablesense gap` that chooses among topics."""
 
 _LOG = logging.getLogger(__name__)
-_REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
 _NO_LOAD = Load(0, np.zeros(3))
 _LATEST_NS = 2**63 - 1
-_OFF_POINT_M = 0.01
-"""An arm under load is elsewhere than where it is commanded, by less than this along its axis: a
-wrench so near a contact point is taken for one at it."""
 _PLACE_DECIMALS = 6
 """Those of a place in a CSV file."""
 
@@ -73,16 +60,18 @@ class BagRows:
     With `keep` false messages are only checked against the contract.
     """
 
-    def __init__(self, arm: Arm, keep: bool = True) -> None:
-        self._arm = arm
+    def __init__(self, machine: Described, keep: bool = True) -> None:
+        layout = layout_of(machine)
+        self._layout = layout
         self._keep = keep
-        self._cables = NamedOrder(arm.cable_names, "cables")
-        self._joints = NamedOrder(arm.joint_names, "joints")
+        self._cables = NamedOrder(layout.channel_names, "cables")
+        self._joints = NamedOrder(layout.command_names, "joints")
         self._command: Array | None = None
         self._loads: dict[int, Load] = {}
         self._trial = np.nan
         self._offset = False
-        self._most_rows = MAX_NUMBERS // (7 + arm.joint_count + arm.cable_count)
+        numbers_in_row = 7 + len(layout.command_names) + len(layout.channel_names)
+        self._most_rows = MAX_NUMBERS // numbers_in_row
         # plain arrays, as objects would take four times the memory
         self._times_ns = array("q")
         self._numbers = array("d")
@@ -94,15 +83,21 @@ class BagRows:
             ContractError: the message breaks the contract.
             RecordingError: tensions came while two segments were loaded.
         """
-        if topic == topics.JOINT_COMMANDS:
-            self._command = joint_command_rad(message, self._joints, self._command)
+        layout = self._layout
+        if topic == layout.command_topic:
+            self._command = joint_command_rad(
+                message, self._joints, self._command, layout.largest_command
+            )
         elif topic == topics.CABLE_OFFSETS:
             self._offset = bool(cable_offsets_m(message, self._cables).any())
         elif topic == topics.APPLIED_WRENCH:
-            self._take_load(message)
+            load = layout.load_of(message, self._command)
+            self._loads.pop(load.segment, None)
+            if load.force_base_n.any():
+                self._loads[load.segment] = load
         elif topic == topics.TRIAL:
             self._trial = float(message.data)
-        elif self._command is not None:
+        elif topic == topics.CABLE_TENSIONS and self._command is not None:
             self._take_tensions(log_ns, message, self._command)
 
     def recording(self, path: Path) -> Recording:
@@ -111,21 +106,22 @@ class BagRows:
         Raises:
             RecordingError: there are none.
         """
+        command_topic = self._layout.command_topic
         if self._command is None:
             raise RecordingError(
-                f"{path}: no message on {topics.JOINT_COMMANDS}; publish the command once more "
+                f"{path}: no message on {command_topic}; publish the command once more "
                 "after the recorder has started, also for a straight arm"
             )
         if not self._times_ns:
             raise RecordingError(
                 f"{path}: no message on {topics.CABLE_TENSIONS} after the first on "
-                f"{topics.JOINT_COMMANDS}; record on after the command"
+                f"{command_topic}; record on after the command"
             )
         logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
         clock_ns, odd = one_clock(logs_ns, stamps_ns)
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
-        ends = np.cumsum([1, 1, 1, 3, self._arm.joint_count])
+        ends = np.cumsum([1, 1, 1, 3, len(self._layout.command_names)])
         trial, segment, place, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
         at_m = given_places(np.round(place[:, 0], _PLACE_DECIMALS))
         segments = segment[:, 0].astype(np.int64)
@@ -137,25 +133,6 @@ class BagRows:
         name = plain_name(path.stem)
         notes = (odd,) if odd else ()
         return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m, notes)
-
-    def _take_load(self, message: Any) -> None:
-        name = message.header.frame_id
-        prefix = name.removesuffix("base_link")
-        if prefix == name:
-            prefix = name.rpartition("segment_")[0]
-        load = read_load(message, Frames(self._arm.segment_count, prefix), self._contact_of)
-        if load.contact_m is not None:
-            off_m = load.contact_m - mechanism_of(self._arm).contact_m[load.segment - 1]
-            load = replace(load, contact_m=None) if abs(off_m) <= _OFF_POINT_M else load
-        self._loads.pop(load.segment, None)
-        if load.force_base_n.any():
-            self._loads[load.segment] = load
-
-    def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
-        """Segment and place of a load at the present command."""
-        command = np.zeros(self._arm.joint_count) if self._command is None else self._command
-        reach_m = touched_places(self._arm).touched_m
-        return contact_of_wrench(mechanism_of(self._arm), command, reach_m, force_n, torque_n_m)
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:
@@ -179,24 +156,25 @@ class BagRows:
             self._numbers.extend(numbers)
 
 
-def read_mcap(path: str | Path, arm: Arm, topics: Sequence[str] = ()) -> Recording:
+def read_mcap(path: str | Path, machine: Described, topics: Sequence[str] = ()) -> Recording:
     """Read a .mcap file, or a rosbag2 folder with its metadata.yaml.
 
-    One row per `cable_tensions`; command and load are the latest that came before it. Rows before
-    the first command are left out: their pose is unknown; so are those with offset cables, which
-    no simulator here knows. Without the topic `trial`, trials are derived
-    (`recording.derive_trials`). Of several arms that is read whose `topics` are given, one or more
-    of them by their full names.
+    One row per `cable_tensions`; command and load are the latest that came before it, where joints
+    are measured their positions in place of commands. Rows before the first are left out: their
+    pose is unknown; so are those with offset cables, which no simulator here knows. Without the
+    topic `trial`, trials are derived (`recording.derive_trials`). Of several machines that is read
+    whose `topics` are given, one or more of them by their full names.
 
     Raises:
         RecordingError: no bag, a topic missing, twice or of another type, a message that breaks
             the contract, loads on two segments at once.
     """
     path = Path(path)
-    rows = BagRows(arm)
+    rows = BagRows(machine)
+    command_topic = layout_of(machine).command_topic
     taken = Counter[str]()
     full_topics: dict[str, str] = {}
-    for topic, log_ns, message in _messages(path, topics, full_topics):
+    for topic, log_ns, message in _messages(path, command_topic, topics, full_topics):
         taken[topic] += 1
         try:
             rows.take(topic, log_ns, message)
@@ -219,20 +197,20 @@ def is_bag(path: Path) -> bool:
 
 
 def _messages(
-    path: Path, topics: Sequence[str] = (), full_topics: dict[str, str] | None = None
+    path: Path, command_topic: str, chosen_topics: Sequence[str], full_topics: dict[str, str]
 ) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time in ns and content of an arm's messages, in the order they came.
+    """Topic, time in ns and content of a machine's messages, in the order they came.
 
-    Of several arms the messages are those in the namespaces of `topics`. `full_topics` is filled
-    with the full name of each topic that is read.
+    Of several machines the messages are those in the namespaces of `chosen_topics`. `full_topics`
+    is filled with the full name of each topic that is read.
     """
-    full_topics = {} if full_topics is None else full_topics
-    spaces = {topic.rpartition("/")[0] for topic in topics}
+    spaces = {topic.rpartition("/")[0] for topic in chosen_topics}
+    inputs = {**INPUTS, command_topic: CONTRACT[command_topic]}
     others: set[str] = set()
 
     def wanted(raw: RawMessage) -> bool:
         topic = raw.topic.rpartition("/")[2]
-        if topic not in INPUTS or (spaces and raw.topic.rpartition("/")[0] not in spaces):
+        if topic not in inputs or (spaces and raw.topic.rpartition("/")[0] not in spaces):
             others.add(raw.topic)
             return False
         first = full_topics.setdefault(topic, raw.topic)
@@ -242,16 +220,17 @@ def _messages(
                 f"{path}: {named} are both {topic}; record one arm alone, or choose one, as with "
                 f"{TOPIC_OPTION} {min(raw.topic, first)}"
             )
-        if raw.kind != INPUTS[topic].kind:
+        if raw.kind != inputs[topic].kind:
             raise RecordingError(
                 f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
-                f"{INPUTS[topic].kind}"
+                f"{inputs[topic].kind}"
             )
         return True
 
     for raw, message in decoded(path, wanted):
         yield raw.topic.rpartition("/")[2], raw.log_ns, message
-    missing = [topic for topic in _REQUIRED if topic not in full_topics]
+    needed = (topics.CABLE_TENSIONS, command_topic)
+    missing = [topic for topic in needed if topic not in full_topics]
     if missing:
         present = ", ".join(sorted({*others, *full_topics.values()})[:8]) or "nothing"
         raise RecordingError(

@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_of
+from cablesense_contact.reference_contacts import KnownForce
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
@@ -256,7 +257,7 @@ class EstimatorNode(ConfiguredNode):
                 self._loaded.summary.pose_range_deg,
                 self._refuse_command.count,
             ),
-            tare_status(state, settings, self._force_known_n()),
+            tare_status(state, settings, self._known_force()),
         ]
         breathing = breath_status(state.breath)
         if breathing is not None:
@@ -266,12 +267,12 @@ class EstimatorNode(ConfiguredNode):
         self._refuse_command.count = 0
         return statuses
 
-    def _force_known_n(self) -> float | None:
-        """How well a push would be known elsewhere, N; None where that has no answer."""
+    def _known_force(self) -> KnownForce | None:
+        """How well a push would be known elsewhere; None where that has no answer."""
         unloaded = self._estimation.state.unloaded
         if self._force_known is None or not isinstance(unloaded, CalibratedState):
             return None
-        return self._force_known.half_interval_n(unloaded.calibration)
+        return self._force_known.by(unloaded.calibration)
 
 
 main = partial(run_node, EstimatorNode)

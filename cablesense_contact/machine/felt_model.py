@@ -11,7 +11,7 @@ from cablesense_contact.felt import ChannelLimits, LinkFrames, LinksAtPose
 from cablesense_contact.machine.carried_slides import CarriedSlides
 from cablesense_contact.machine.law import GRAPH_FORCE_N
 from cablesense_contact.machine.observation import Observer
-from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts, ReferenceLoads
+from cablesense_contact.reference_contacts import ReferenceContacts, ReferenceLoads
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.simulated import SimulatedMachine
@@ -19,6 +19,8 @@ from cablesense_sim.machine.statics import LinkForce, MachineStatics
 
 _KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
 """A force is known if half of its interval is below this share of the largest one."""
+_REFERENCE_SHARE = 0.2
+"""Force of the contacts by which a machine is judged, as a share of the largest one."""
 _LARGEST_COMMAND = 1e3
 """rad or m, that a command states: a number beyond is not meant."""
 _SLACK_BELOW_STD = 4.0
@@ -112,12 +114,14 @@ class FeltModel:
         nominal = SimulatedMachine(machine, parameters, 0.0 * parameters.prior_mean)
         untouched = nominal.untouched(command)
         direction = np.array([0.0, 0.0, 1.0])
+        force_n = _REFERENCE_SHARE * machine.source.file.touch.largest_n
         count = len(machine.links.names)
         readings = []
         for n in range(count):
-            contact = LinkForce(n, np.array([self.middle_m[n], 0.0, 0.0]), FORCE_N * direction)
+            contact = LinkForce(n, np.array([self.middle_m[n], 0.0, 0.0]), force_n * direction)
             readings.append(nominal.touched(command, [contact], untouched).values)
         loads = ReferenceLoads(
+            force_n=force_n,
             reading=np.array(readings),
             command=np.tile(command, (count, 1)),
             link=np.arange(count),

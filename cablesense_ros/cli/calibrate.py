@@ -1,16 +1,20 @@
-"""`cablesense calibrate`: from unloaded poses of a recording, what is known of an arm."""
+"""`cablesense calibrate`: from unloaded poses of a recording, what is known of a machine."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from cablesense_base import CableSenseError
 from cablesense_base.files import output_file
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import (
+    ColumnsOption,
     ForceOption,
     JsonOption,
     TopicsOption,
@@ -18,13 +22,18 @@ from cablesense_ros.cli.options import (
     print_notes,
     titled_table,
 )
+from cablesense_sim.machine.description import is_machine_file
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from cablesense_contact.calibration import Calibration
+    from cablesense_contact.felt import FeltMachine
     from cablesense_contact.law import Law
+    from cablesense_contact.reference_contacts import ReferenceContacts
+    from cablesense_recording.layout import Described
     from cablesense_sim.arm import Arm
+    from cablesense_sim.parameter_groups import GroupedParameters
 
 Description = dict[str, Any]
 _SHOWN_UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (57.29577951308232, "°")}
@@ -37,13 +46,16 @@ def calibrate(
     ],
     out: Annotated[Path, typer.Option(help="The calibration file to write.")],
     arm: Annotated[
-        str, typer.Option(help="Arm of the recording: a path, or the name of a bundled one.")
+        str,
+        typer.Option(
+            help="Arm of the recording: a path, or the name of a bundled one; or a machine file."
+        ),
     ] = "cdsm",
     model: Annotated[
         str,
         typer.Option(
-            help="Model file of contacts anywhere for this arm.",
-            show_default="the arm's own, or its law in PyTorch",
+            help="Model file of contacts anywhere for this arm or machine.",
+            show_default="the arm's own, or its law in PyTorch; of a machine the one beside it",
         ),
     ] = "",
     ended: Annotated[
@@ -53,15 +65,17 @@ def calibrate(
             show_default="the time of its file",
         ),
     ] = None,
+    columns: ColumnsOption = None,
     topic: TopicsOption = None,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Find how an arm differs from its file, from the unloaded poses of a recording.
+    """Find how an arm or machine differs from its file, from the unloaded poses of a recording.
 
-    Takes every stay of a second or more at one command without a load. Twenty-five poses within
-    10 degrees make a good calibration; the node commissioner chooses better ones, and visits them
-    by itself. Writes the file that the estimator takes as its parameter calibration_file.
+    Takes every stay of a second or more at one command, or at one pose of measured joints, without
+    a load. Twenty-five poses within 10 degrees make a good calibration; the node commissioner
+    chooses better ones, and visits them by itself. Writes the file that the estimator takes as its
+    parameter calibration_file.
 
     Example: cablesense calibrate poses.mcap --arm my_arm.yaml --out my_arm.calibration
     """
@@ -73,20 +87,22 @@ def calibrate(
     from cablesense_contact.calibration_file import write_calibration
     from cablesense_contact.unloaded_holds import unloaded_holds
     from cablesense_recording.checks import read_recording
-    from cablesense_sim.arm import open_arm
+    from cablesense_recording.column_map import read_column_map
 
-    output_file(out, force=force, inputs=(recording, arm, model))
-    described = open_arm(arm)
-    recorded = read_recording(recording, described, topic or ())
-    law = law_of(described, arm, model)
-    unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
-    calibration = Calibrator(FeltArm(described), law).from_poses(unloaded)
+    output_file(out, force=force, inputs=(recording, arm, model, columns))
+    machine = opened(arm, model)
+    felt = machine.felt
+    named = None if columns is None else read_column_map(columns, machine.described)
+    recorded = read_recording(recording, machine.described, topic or (), named)
+    ended_ns = _ended_ns(recording, ended)
+    unloaded = unloaded_holds(recorded, ended_ns, measured=felt.reads_joints)
+    calibration = Calibrator(felt, machine.law).from_poses(unloaded)
     poses = len({reading.command_rad.tobytes() for reading in unloaded})
     many = "1 pose" if poses == 1 else f"{poses} poses"
     made_from = f"{recorded.name}, with unloaded readings in {many}"
     calibration = replace(calibration, made_from=made_from)
-    write_calibration(out, calibration, described)
-    description = calibration_description(calibration, described, law)
+    write_calibration(out, calibration, felt)
+    description = calibration_description(calibration, felt.parameters, machine)
     print_notes(recorded.notes, json_output)
     if json_output:
         print_json({"file": str(out), **description})
@@ -98,6 +114,47 @@ def calibrate(
         soft_wrap=True,
         markup=False,
     )
+
+
+class Opened(NamedTuple):
+    """A machine with its law, as a calibration takes it.
+
+    Attributes:
+        felt: the machine.
+        law: its law.
+        contacts: finds it under pushes.
+        described: what recordings of it are read by.
+    """
+
+    felt: FeltMachine
+    law: Law
+    contacts: Callable[[], ReferenceContacts]
+    described: Described
+
+
+def opened(arm: str, model: str = "") -> Opened:
+    """An arm or a machine by name or path, with a law for it.
+
+    Raises:
+        CableSenseError: a file is missing or invalid, or the model was made for another machine.
+        ModuleNotFoundError: no model file of an arm fits, and PyTorch is not installed.
+    """
+    if is_machine_file(arm):
+        from cablesense_online.machine_models import load_machine
+
+        loaded = load_machine(arm, model)
+        return Opened(loaded.machine, loaded.law, loaded.reference_contacts, loaded.source)
+    from cablesense_sim.arm import open_arm
+
+    described = open_arm(arm)
+    return opened_arm(described, law_of(described, arm, model))
+
+
+def opened_arm(arm: Arm, law: Law) -> Opened:
+    """An arm with a law for it."""
+    from cablesense_contact.reference_contacts import ReferenceContacts
+
+    return Opened(FeltArm(arm), law, partial(ReferenceContacts.of_arm, arm), arm)
 
 
 def law_of(arm: Arm, arm_file: str, model: str = "") -> Law:
@@ -121,15 +178,16 @@ def law_of(arm: Arm, arm_file: str, model: str = "") -> Law:
     return TorchLaw(arm)
 
 
-def calibration_description(calibration: Calibration, arm: Arm, law: Law | None) -> Description:
+def calibration_description(
+    calibration: Calibration, parameters: GroupedParameters, machine: Opened | None
+) -> Description:
     """What a calibration says, as plain values in SI units.
 
-    Without a law nothing is said of the deviation of forces.
+    Without the machine nothing is said of how well forces are known.
     """
     from dataclasses import asdict
 
     from cablesense_contact.calibration_summary import summarised
-    from cablesense_sim.uncertain_arm import arm_parameters
 
     unloaded = calibration.unloaded
     taken_ns = calibration.changed_ns
@@ -147,8 +205,8 @@ def calibration_description(calibration: Calibration, arm: Arm, law: Law | None)
         "channels": sum(len(reading.reading_n) for reading in unloaded),
         "probability": calibration.misfit_probability,
         "as_described": calibration.as_described,
-        "force_known_n": None if law is None else _force_known_n(calibration, arm, law),
-        "parameters": [asdict(row) for row in summarised(calibration, arm_parameters(arm))],
+        "force_known_n": None if machine is None else _force_known_n(calibration, machine),
+        "parameters": [asdict(row) for row in summarised(calibration, parameters)],
     }
 
 
@@ -167,33 +225,37 @@ def print_calibration(console: Any, description: Description) -> None:
         f"{description['probability']:.2g}"
     )
     if description["as_described"]:
-        say("The arm is as its file's tolerances describe it.")
+        say("It is as its file's tolerances describe it.")
     else:
         say(
-            "The arm is not as its file's tolerances describe it: was it touched, is a load not "
-            "in the recording, or is it built less well? Larger tolerances in the arm file make "
-            "its intervals true"
+            "It is not as its file's tolerances describe it: was it touched, is a load not in the "
+            "recording, or is it built less well? Larger tolerances in its file make its "
+            "intervals true"
         )
     known = description["force_known_n"]
     if known:
         say(
-            f"A push of 20 N is known to ± {known['after']:.2f} N (95 %); by the tolerances alone "
-            f"to ± {known['before']:.2f} N"
+            f"A push of {known['push']:g} N is known to ± {known['after']:.2g} N (95 %); by the "
+            f"tolerances alone to ± {known['before']:.2g} N"
         )
 
 
-def _force_known_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
-    """To what the force of a push is known, in another pose than those of the calibration."""
-    from cablesense_contact.calibration import Calibrator
-    from cablesense_contact.reference_contacts import ReferenceContacts
+def _force_known_n(calibration: Calibration, machine: Opened) -> Description | None:
+    """To what the force of a push is known, in another pose than those of the calibration.
 
-    contacts = ReferenceContacts.of_arm(arm)
-    prior_mean = calibration.prior_mean
-    elsewhere = Calibrator(FeltArm(arm), law).moved(calibration)
-    return {
-        "before": contacts.force_known_n(law, prior_mean, calibration.prior_covariance),
-        "after": contacts.force_known_n(law, elsewhere.mean, elsewhere.covariance),
-    }
+    None where the machine does not bear such a push.
+    """
+    from cablesense_contact.calibration import Calibrator
+
+    law = machine.law
+    try:
+        contacts = machine.contacts()
+    except CableSenseError:
+        return None
+    before = contacts.known_force(law, calibration.prior_mean, calibration.prior_covariance)
+    elsewhere = Calibrator(machine.felt, law).moved(calibration)
+    after = contacts.known_force(law, elsewhere.mean, elsewhere.covariance)
+    return {"push": after.push_n, "before": before.half_interval_n, "after": after.half_interval_n}
 
 
 def _table(description: Description) -> Table:

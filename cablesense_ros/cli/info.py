@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -316,16 +317,25 @@ def _show_calibration(content: bytes, path: str, as_json: bool) -> None:
     """Print what a calibration file says, in the words of `cablesense calibrate`."""
     from rich.console import Console
 
-    from cablesense_contact.calibration_file import calibration_of, described_arm
-    from cablesense_ros.cli.calibrate import calibration_description, law_of, print_calibration
+    from cablesense_contact.calibration_file import CalibratedMachine, calibration_of, described
+    from cablesense_ros.cli.calibrate import (
+        calibration_description,
+        law_of,
+        opened_arm,
+        print_calibration,
+    )
 
-    arm = described_arm(content, path)
-    calibration = calibration_of(content, FeltArm(arm), path)
-    try:
-        law = law_of(arm, path)
-    except ModuleNotFoundError:
-        law = None  # the deviation of forces is left out without PyTorch or a model file
-    description = calibration_description(calibration, arm, law)
+    whose = described(content, path)
+    machine = (
+        whose if isinstance(whose, CalibratedMachine) else CalibratedMachine.of(FeltArm(whose))
+    )
+    calibration = calibration_of(content, machine, path)
+    known = None
+    if isinstance(whose, Arm):
+        # without PyTorch or a model file nothing is said of how well forces are known
+        with suppress(ModuleNotFoundError):
+            known = opened_arm(whose, law_of(whose, path))
+    description = calibration_description(calibration, machine.parameters, known)
     if as_json:
         print_json({"file": path, **description})
     else:

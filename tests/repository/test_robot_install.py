@@ -41,7 +41,7 @@ assert answer.stamp_ns == 1_000_000_000, answer
 leave_interpreted()
 known = estimation.state.unloaded.calibration
 force_known = ForceKnown(loaded.machine, loaded.model, loaded.reference_contacts)
-assert force_known.half_interval_n(known) > 0.0
+assert force_known.by(known).half_interval_n > 0.0
 """
 CONDITION = "$CABLESENSE_ROBOT != 1"
 

@@ -100,7 +100,7 @@ def test_a_touched_arm_that_no_label_tells_of_is_not_as_described(command, tmp_p
     write_csv(tmp_path / "poses.csv", stays(10, touched=(3, 7), labelled=False))
     ended = command("calibrate", "poses.csv", "--arm", LAB, "--out", "lab.calibration")
     assert ended.returncode == 0, ended.stderr
-    assert "The arm is not as its file's tolerances describe it" in ended.stdout
+    assert "It is not as its file's tolerances describe it" in ended.stdout
 
 
 def test_loaded_rows_are_left_out_and_so_are_moves():

@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
-from cablesense_contact.calibration_file import calibration_of, described_arm, read_calibration
+from cablesense_contact.calibration_file import calibration_of, described, read_calibration
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_sim.arm import open_arm
 
@@ -67,7 +67,7 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
     arm = open_arm("cdsm_lab")
     content = bytes(received[0].data)
     calibration = calibration_of(content, FeltArm(arm), "calibration")
-    assert described_arm(content, "calibration") == arm
+    assert described(content, "calibration") == arm
     assert len(calibration.unloaded) == 4
     assert calibration.as_described
     assert calibration.changed_ns > 1.7e18  # of this century

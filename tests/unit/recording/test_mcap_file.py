@@ -161,13 +161,13 @@ def test_a_folder_with_metadata_is_read_too(tmp_path):
     path = bag(tmp_path / "a.mcap", COMMAND, TENSIONS, TENSIONS)
     folder = tmp_path / "folder"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as out:
-        for topic, log_ns, message in mcap_file._messages(path):
-            kind = INPUTS[topic].kind
+        for raw, message in mcap_file.decoded(path, lambda raw: True):
             known = {c.topic: c for c in out.connections}
-            name = f"/lab/{topic}"
-            connection = known.get(name) or out.add_connection(name, kind, typestore=store)
+            name = f"/lab{raw.topic}"
+            connection = known.get(name) or out.add_connection(name, raw.kind, typestore=store)
             # publishers leave bytes behind a message's end
-            out.write(connection, log_ns, bytes(store.serialize_cdr(message, kind)) + bytes(9))
+            content = bytes(store.serialize_cdr(message, raw.kind)) + bytes(9)
+            out.write(connection, raw.log_ns, content)
     a = read_recording(folder, LAB)
     b = read_recording(path, LAB)
     np.testing.assert_array_equal(a.tensions_n, b.tensions_n)
