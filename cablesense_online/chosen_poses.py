@@ -1,8 +1,8 @@
-"""Which unloaded poses teach most about an arm, in which order.
+"""Which unloaded poses teach most about a machine, in which order.
 
 Poses are chosen one by one from random candidates. Each unloaded reading will lower the covariance
-Σ of the arm's parameters, whatever it reads; taken is the candidate after which contacts will be
-known best, by the determinant of their information (D-optimal; Fedorov, Theory of Optimal
+Σ of the machine's parameters, whatever it reads; taken is the candidate after which contacts will
+be known best, by the determinant of their information (D-optimal; Fedorov, Theory of Optimal
 Experiments, 1972), on average over the reference contacts. How far cables have slid at their
 guides is another unknown in each pose, so it counts as noise.
 """
@@ -13,13 +13,9 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import MODEL_STD_N, Calibration, Calibrator
-from cablesense_contact.felt_arm import FeltArm
+from cablesense_contact.felt import still
 from cablesense_contact.law import Law
-from cablesense_contact.reference_contacts import ReferenceContacts
-from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
+from cablesense_online.movable import TAUT_SHARE, Movable, taut
 
 POSES = 25
 """Of a commissioning, unless a user states another number."""
@@ -29,76 +25,44 @@ READINGS = 20
 """Averaged in a pose: fifty lower the deviation of a force by four hundredths."""
 _CANDIDATES = 160
 """Random poses of which those are chosen that teach most."""
-_TAUT_SHARE = 0.2
-"""A cable is taut for certain above this share of its pretension."""
-_BEND_SHARE = 0.8
-"""Joints stay within this share of the bend at which guide plates meet."""
-_PREDICTION_STEPS = 6
-"""Newton steps from the pretension to the reading in a pose."""
-_PREDICTED_N = 0.01
-"""Change of a reading that is too small to continue them."""
 
 
 class PoseError(CableSenseError):
-    """An arm without enough poses in which all its cables are taut."""
-
-
-class UnloadedReadings:
-    """Predicts what an arm reads without a load, by the law and a calibration."""
-
-    def __init__(self, arm: Arm, law: Law) -> None:
-        self._law = law
-        self._start_n = np.full(arm.cable_count, float(arm.cables.pretension_n))
-        self._taut_n = _TAUT_SHARE * arm.cables.pretension_n
-        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
-
-    def predicted_n(self, command_rad: Array, calibration: Calibration) -> Array:
-        """Readings (K, M) at commands (K, 2N); those of nearly slack cables are too high."""
-        reading_n = np.tile(self._start_n, (len(command_rad), 1))
-        belief = (calibration.mean, calibration.covariance, self._unrest)
-        for _ in range(_PREDICTION_STEPS):
-            change_n = -self._law(reading_n, command_rad, *belief).innovation_n
-            # kept taut: where a cable is slack the law may not be solvable
-            reading_n = np.maximum(reading_n + change_n, 0.5 * self._taut_n)
-            if np.abs(change_n).max() < _PREDICTED_N:
-                break
-        return reading_n
-
-    def taut(self, command_rad: Array, calibration: Calibration) -> Array:
-        """(K,) whether all cables are well above zero at commands (K, 2N)."""
-        return np.asarray(self.predicted_n(command_rad, calibration).min(axis=1) > self._taut_n)
+    """A machine without enough poses in which all its cables are taut."""
 
 
 def chosen_poses(
-    arm: Arm,
+    movable: Movable,
     law: Law,
     count: int = POSES,
     bend_rad: float = BEND_RAD,
     readings: int = READINGS,
     seed: int = 0,
 ) -> Array:
-    """Commands (K, 2N) that teach most about an arm, in an order that takes short moves.
+    """Commands (K, C) that teach most about a machine, in an order that takes short moves.
 
     Args:
-        arm: whose tolerances say what is unknown.
-        law: of this arm.
+        movable: the machine, whose tolerances say what is unknown.
+        law: of this machine.
         count: how many poses K.
-        bend_rad: of each joint angle, at most.
+        bend_rad: of each joint angle from the first command, at most.
         readings: how many are averaged in each.
         seed: of the candidates.
 
     Raises:
         PoseError: in too few poses all cables are taut.
     """
-    prior = Calibrator(FeltArm(arm), law).by_tolerances()
-    candidates = _candidates(arm, law, prior, bend_rad, np.random.default_rng(seed))
+    felt = movable.felt
+    prior = Calibrator(felt, law).by_tolerances()
+    drawn = movable.candidates(_CANDIDATES, bend_rad, np.random.default_rng(seed))
+    candidates = drawn[taut(movable, drawn, prior)]
     if len(candidates) < count:
         raise PoseError(
             f"only {len(candidates)} of {_CANDIDATES} poses within {np.rad2deg(bend_rad):.1f} "
-            f"degrees leave all cables of {arm.name} above {_TAUT_SHARE:.0%} of their pretension; "
+            f"degrees leave all cables of {felt.name} above {TAUT_SHARE:.0%} of their pretension; "
             f"{count} are needed: bend less, or give more pretension"
         )
-    design = _Design(arm, law, prior, readings)
+    design = _Design(movable, law, prior, readings)
     slopes, noise_n2 = design.seen_from(candidates)
     remaining = np.arange(len(candidates))
     chosen = []
@@ -108,22 +72,7 @@ def chosen_poses(
         design.add(slopes[taken], noise_n2[taken])
         chosen.append(taken)
         remaining = np.delete(remaining, best)
-    return _tour(candidates[chosen])
-
-
-def _candidates(
-    arm: Arm, law: Law, prior: Calibration, bend_rad: float, rng: np.random.Generator
-) -> Array:
-    """Poses (C, 2N), the straight one first, in which the arm of the file has no slack cable."""
-    drawn = rng.uniform(-bend_rad, bend_rad, (_CANDIDATES, arm.joint_count))
-    # poses near the ends of the range teach most, so half of them are drawn nearer to these
-    inner = _CANDIDATES // 2
-    drawn[inner:] = np.sign(drawn[inner:]) * np.sqrt(np.abs(drawn[inner:]) * bend_rad)
-    drawn[0] = 0.0
-    limit_rad = _BEND_SHARE * mechanism_of(arm).bend_limit_rad
-    shrink = np.minimum(1.0, limit_rad / np.maximum(kinematics.bend_rad(drawn), 1e-9))
-    drawn *= np.repeat(shrink, 2, axis=1)
-    return drawn[UnloadedReadings(arm, law).taut(drawn, prior)]
+    return _tour(candidates[chosen], felt.first_command)
 
 
 class _Design:
@@ -132,33 +81,34 @@ class _Design:
     Lasting parameters are all but what friction carries, which is another in each pose.
     """
 
-    def __init__(self, arm: Arm, law: Law, prior: Calibration, readings: int) -> None:
+    def __init__(self, movable: Movable, law: Law, prior: Calibration, readings: int) -> None:
+        felt = movable.felt
         self._law = law
         self._prior = prior
-        self._predicted = UnloadedReadings(arm, law)
-        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+        self._movable = movable
+        self._unrest = still(felt)
         self._carried = np.zeros(len(prior.mean), dtype=bool)
-        self._carried[FeltArm(arm).carried_friction] = True
+        self._carried[felt.carried_friction] = True
         self._carried_variance = np.diagonal(prior.covariance)[self._carried]
-        self._mean_variance_n2 = mean_variance_n2(arm.sensors, readings) + MODEL_STD_N**2
-        contacts = ReferenceContacts.of_arm(arm)
+        self._mean_variance_n2 = felt.mean_variance(readings) + MODEL_STD_N**2
+        contacts = movable.reference_contacts()
         seen = contacts.response(law, prior.mean, prior.covariance)
         self._by_contact = seen.by_contact
         self._prior_precision = contacts.prior_precision
         self._by_lasting, self._contact_noise_n2 = self._parted(
-            seen.by_parameter, reading_variance_n2(arm.sensors)
+            seen.by_parameter, felt.mean_variance(1)
         )
         self.covariance = prior.covariance[np.ix_(~self._carried, ~self._carried)]
 
     def seen_from(self, candidates: Array) -> tuple[Array, Array]:
-        """Slopes (C, M, L) by lasting parameters, and noise (C, M, M), of unloaded readings."""
-        reading_n = self._predicted.predicted_n(candidates, self._prior)
+        """Slopes (K, M, L) by lasting parameters, and noise (K, M, M), of unloaded readings."""
+        reading_n = self._movable.predicted_n(candidates, self._prior)
         belief = (self._prior.mean, self._prior.covariance, self._unrest)
         slopes = self._law(reading_n, candidates, *belief).by_parameter
         return self._parted(slopes, self._mean_variance_n2)
 
     def information(self, slopes: Array, noise_n2: Array) -> Array:
-        """(C,) what contacts will be known by after one more reading: mean log determinant."""
+        """(K,) what contacts will be known by after one more reading: mean log determinant."""
         of_contacts = self._by_lasting @ self.covariance
         spread = of_contacts @ self._by_lasting.transpose(0, 2, 1) + self._contact_noise_n2
         crossed = of_contacts[:, None] @ slopes.transpose(0, 2, 1)
@@ -178,17 +128,17 @@ class _Design:
         covariance = self.covariance - gained
         self.covariance = 0.5 * (covariance + covariance.T)
 
-    def _parted(self, slopes: Array, variance_n2: float) -> tuple[Array, Array]:
-        """Slopes by lasting parameters, and the noise of sensors and friction together."""
+    def _parted(self, slopes: Array, variance_n2: Array) -> tuple[Array, Array]:
+        """Slopes by lasting parameters, and the noise of sensors (M,) and friction together."""
         by_carried = slopes[..., self._carried]
         noise_n2 = (by_carried * self._carried_variance) @ by_carried.transpose(0, 2, 1)
-        return slopes[..., ~self._carried], noise_n2 + variance_n2 * np.eye(slopes.shape[1])
+        return slopes[..., ~self._carried], noise_n2 + np.diag(variance_n2)
 
 
-def _tour(poses: Array) -> Array:
-    """The poses (K, 2N) from the one nearest to straight on, always the nearest one next."""
+def _tour(poses: Array, first: Array) -> Array:
+    """The poses (K, C) from the one nearest to the first command on, always the nearest next."""
     remaining = list(range(len(poses)))
-    present_pose = np.zeros(poses.shape[1])
+    present_pose = first
     order = []
     while remaining:
         turns = np.abs(poses[remaining] - present_pose).max(axis=1)

@@ -1,9 +1,9 @@
-"""The commissioning: an unloaded arm goes from pose to pose, until it is known.
+"""The commissioning: an unloaded machine goes from pose to pose, until it is known.
 
 In each pose it waits for rest, averages readings, and adds them to its calibration
 (`cablesense_contact.calibration`). Cables slide as they reach a pose, and friction leaves them
 with tensions of the side that they came from; so poses are reached from two sides in turn, and
-each from both sides where the arm file lists friction.
+each from both sides where the machine's file states friction.
 
 Here is what to do when; who calls has the clock, sends the commands, and hands over the readings.
 All times are of one clock, that of the readings' stamps.
@@ -22,21 +22,14 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
-from cablesense_contact.felt_arm import FeltArm
+from cablesense_contact.felt import still
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
-from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
-from cablesense_online.chosen_poses import READINGS, UnloadedReadings
-from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
+from cablesense_contact.reference_contacts import KnownForce
+from cablesense_online.chosen_poses import READINGS
+from cablesense_online.movable import Movable, taut
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
-from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.replay import reading_variance_n2
-from cablesense_sim.uncertain_arm import cable_friction
 
-_DIRECTIONS = 200
-"""Directions of approach that are tried."""
 _TOUCHED_PROBABILITY = 0.999
 """A reading stops the motion if a contact is so probable."""
 _CONFIRMED = 2
@@ -80,7 +73,7 @@ class CommissioningSettings:
         readings: averaged in each pose; of fast sensors those of 0.2 s.
         approach_rad: how far beyond a pose a joint turns first, to reach it from a certain side;
             it must move the cables farther than their friction stretches them.
-        both_sides: whether every pose is held twice; None where the arm file lists friction.
+        both_sides: whether every pose is held twice; None where the file states friction.
         silent_after_s: without a reading for this long the motion stops.
     """
 
@@ -101,7 +94,7 @@ class CommissioningSettings:
 
 
 class Visit(NamedTuple):
-    """One hold: by way of a pose beside it (2N,), at a pose (2N,)."""
+    """One hold: by way of a command beside it (C,), at a command (C,)."""
 
     beside_rad: Array
     pose_rad: Array
@@ -113,30 +106,30 @@ class Progress(NamedTuple):
     Attributes:
         holds_done, holds: in all.
         remaining_s: until it has returned.
-        force_known_n: half of the 95 % interval of a push (`ReferenceContacts`), as known now.
+        known_force: how well a push is known now (`ReferenceContacts`).
         text: of these, in words.
     """
 
     holds_done: int
     holds: int
     remaining_s: float
-    force_known_n: float
+    known_force: KnownForce
 
     @property
     def text(self) -> str:
         """All of it as a sentence."""
         return (
-            f"{self.holds_done} of {self.holds} holds, about {self.remaining_s:.0f} s left; a "
-            f"push of {FORCE_N:g} N is known to ± {self.force_known_n:.2f} N"
+            f"{self.holds_done} of {self.holds} holds, about {self.remaining_s:.0f} s left; "
+            f"{self.known_force.text}"
         )
 
 
-def visits(arm: Arm, poses_rad: Array, settings: CommissioningSettings) -> list[Visit]:
-    """What is visited in poses (K, 2N): from two sides in turn, or each from both."""
+def visits(movable: Movable, poses_rad: Array, settings: CommissioningSettings) -> list[Visit]:
+    """What is visited at commands (K, C): from two sides in turn, or each from both."""
     both_sides = settings.both_sides
     if both_sides is None:
-        both_sides = cable_friction(arm).listed
-    beside_rad = settings.approach_rad * approach_direction(mechanism_of(arm))
+        both_sides = movable.rubs
+    beside_rad = movable.beside(settings.approach_rad)
     stops = []
     for number, pose_rad in enumerate(poses_rad):
         side = -1.0 if number % 2 else 1.0
@@ -146,33 +139,26 @@ def visits(arm: Arm, poses_rad: Array, settings: CommissioningSettings) -> list[
     return stops
 
 
-def approach_direction(mechanism: Mechanism) -> Array:
-    """(2N,) relative turns of the joints, at most 1, by which every cable moves at every guide."""
-    rng = np.random.default_rng(0)
-    count = mechanism.joint_count
-    directions = rng.uniform(-1.0, 1.0, (_DIRECTIONS, count))
-    directions /= np.abs(directions).max(axis=1, keepdims=True)
-    by_angle = kinematics.cable_jacobian_m(mechanism, np.zeros(count))
-    by_joint = (by_angle * directions[:, None]).reshape(_DIRECTIONS, mechanism.cable_count, -1, 2)
-    # a cable moves at a guide by what the joints from there on take of it
-    moved = np.abs(by_joint.sum(axis=3)[..., ::-1].cumsum(axis=2)[..., ::-1])
-    least = np.where(mechanism.passes_joint, moved, np.inf).min(axis=(1, 2))
-    return np.asarray(directions[least.argmax()])
-
-
 def expected_duration_s(
-    arm: Arm, stops: Sequence[Visit], settings: CommissioningSettings, start_rad: Array
+    stops: Sequence[Visit],
+    settings: CommissioningSettings,
+    start_rad: Array,
+    rate_hz: float,
+    speed: float,
 ) -> float:
-    """How long visits take, from a pose (2N,) and back to it; readings come at the arm's rate."""
+    """How long visits take, from a command (C,) and back to it.
+
+    Readings come at a rate; commands change by `speed` a second at most.
+    """
     way = [start_rad]
     for visit in stops:
         way += [visit.beside_rad, visit.pose_rad]
     way.append(start_rad)
     moving_s = sum(
-        move_duration_s(float(np.abs(to_rad - from_rad).max()), settings.joint_speed_rad_s)
+        move_duration_s(float(np.abs(to_rad - from_rad).max()), speed)
         for from_rad, to_rad in pairwise(way)
     )
-    return moving_s + len(stops) * settings.hold_s(arm.sensors.rate_hz)
+    return moving_s + len(stops) * settings.hold_s(rate_hz)
 
 
 class _Readings:
@@ -216,38 +202,44 @@ class Commissioning:
         problem: why it stopped; empty where it did not.
         skipped: holds left out, because a cable would be nearly slack there.
         calibration: by the holds so far.
-        sent_rad: (2N,) the last command.
+        sent_rad: (C,) the last command.
     """
 
     def __init__(
         self,
-        arm: Arm,
+        movable: Movable,
         law: Law,
         poses_rad: Array,
         start_rad: Array,
         now_ns: int,
+        rate_hz: float,
         settings: CommissioningSettings | None = None,
     ) -> None:
-        """Begin in poses (K, 2N), with the arm at rest at a command (2N,).
+        """Begin in poses at commands (K, C), with the machine at rest at a command (C,).
+
+        Readings come at `rate_hz`.
 
         Raises:
             CommissioningRefusedError: there are no poses.
+            CableSenseError: the machine does not bear the contacts by which it is judged.
         """
         if not len(poses_rad):
             raise CommissioningRefusedError("a commissioning needs at least one pose")
-        self._arm = arm
+        felt = movable.felt
+        self._movable = movable
         self._law = law
         self._settings = settings or CommissioningSettings()
-        self._calibrator = Calibrator(FeltArm(arm), law)
-        self._judge = Judge(FeltArm(arm), _TOUCHED_PROBABILITY)
-        self._contacts = ReferenceContacts.of_arm(arm)
-        self._unloaded = UnloadedReadings(arm, law)
-        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
-        self._unsteady_n = _UNSTEADY_STD * math.sqrt(reading_variance_n2(arm.sensors))
-        self._left = visits(arm, poses_rad, self._settings)
+        self._rate_hz = rate_hz
+        self._speed = self._settings.joint_speed_rad_s * movable.per_radian
+        self._calibrator = Calibrator(felt, law)
+        self._judge = Judge(felt, _TOUCHED_PROBABILITY)
+        self._contacts = movable.reference_contacts()
+        self._unrest = still(felt)
+        self._unsteady_n = _UNSTEADY_STD * np.sqrt(felt.mean_variance(1))
+        self._left = visits(movable, poses_rad, self._settings)
         self._holds = len(self._left)
         self._start_rad = start_rad
-        self._motion = JointMotion.at_rest(start_rad, self._settings.joint_speed_rad_s)
+        self._motion = JointMotion.at_rest(start_rad, self._speed)
         self._moved_ns = now_ns
         self._heard_ns = now_ns
         self._readings = _Readings()
@@ -280,13 +272,13 @@ class Commissioning:
         here_rad = self._motion.target_rad
         remaining_s = 0.0
         if not self.over:
-            remaining_s = expected_duration_s(self._arm, stops_left, self._settings, here_rad)
-        return Progress(
-            self._holds - len(stops_left), self._holds, remaining_s, self._force_known_n
-        )
+            remaining_s = expected_duration_s(
+                stops_left, self._settings, here_rad, self._rate_hz, self._speed
+            )
+        return Progress(self._holds - len(stops_left), self._holds, remaining_s, self._known_force)
 
     def advance(self, now_ns: int) -> Array | None:
-        """Let time pass; gives a command (2N,) that is to be sent now."""
+        """Let time pass; gives a command (C,) that is to be sent now."""
         if not self.over:
             self._pass(now_ns)
         due_rad = self._due_rad
@@ -337,7 +329,7 @@ class Commissioning:
             self.stop(f"no reading for {silent_s:.1f} s", now_ns)
         elif self.stage is Stage.HOLDING:
             held_s = (now_ns - self._hold_from_ns) / _NS
-            usual_s = self._settings.hold_s(self._arm.sensors.rate_hz)
+            usual_s = self._settings.hold_s(self._rate_hz)
             if held_s > _LONGEST_HOLD * usual_s + _HOLD_MARGIN_S:
                 self.stop(
                     f"no {self._settings.readings} steady readings in {held_s:.0f} s at rest: "
@@ -365,7 +357,7 @@ class Commissioning:
         """Head for the next hold whose cables stay taut, or back."""
         while self._left:
             self._hold = self._left.pop(0)
-            if self._unloaded.taut(self._hold.pose_rad[None], self.calibration)[0]:
+            if taut(self._movable, self._hold.pose_rad[None], self.calibration)[0]:
                 self._go_to(self._hold.beside_rad, Stage.APPROACHING, now_ns)
                 return
             self.skipped += 1
@@ -373,8 +365,7 @@ class Commissioning:
         self._go_to(self._start_rad, Stage.RETURNING, now_ns)
 
     def _go_to(self, target_rad: Array, stage: Stage, now_ns: int) -> None:
-        speed_rad_s = self._settings.joint_speed_rad_s
-        here = JointMotion.at_rest(self._motion.target_rad, speed_rad_s)
+        here = JointMotion.at_rest(self._motion.target_rad, self._speed)
         self._motion = here.towards(target_rad)
         self._moved_ns = now_ns
         self._due_rad = target_rad
@@ -394,8 +385,8 @@ class Commissioning:
             problem = f"readings are not those of the untouched arm: {judged.doubt}"
             if not judged.doubt:
                 force_n = float(np.hypot(*seen.force_n[0, 1:]))
-                segment = judged.segment
-                problem = f"something touches segment {segment}, with about {force_n:.1f} N"
+                link = self._movable.felt.link_names[judged.segment - 1].replace("_", " ")
+                problem = f"something touches {link}, with about {force_n:.2g} N"
             self.stop(problem, stamp_ns)
         return True
 
@@ -414,7 +405,7 @@ class Commissioning:
         if len(self._readings) < _FEWEST_STEADY:
             return False
         off_n = np.abs(reading_n - self._readings.mean_n)
-        return bool(off_n.max() > self._unsteady_n)
+        return bool((off_n > self._unsteady_n).any())
 
     def _add(self, stamp_ns: int) -> None:
         assert self._hold is not None
@@ -438,6 +429,6 @@ class Commissioning:
             made_from = f"a commissioning in {len(poses)} poses"
             self.calibration = replace(self.calibration, made_from=made_from)
         elsewhere = self._calibrator.moved(self.calibration)
-        self._force_known_n = self._contacts.force_known_n(
+        self._known_force = self._contacts.known_force(
             self._law, elsewhere.mean, elsewhere.covariance
         )

@@ -17,6 +17,7 @@ from cablesense_contact.machine.model_file import open_machine_law
 from cablesense_contact.reference_contacts import ReferenceContacts
 from cablesense_online.contacts import LawContacts
 from cablesense_online.models import Loaded, ModelSummary, law_contacts
+from cablesense_online.movable_machine import MovableMachine
 from cablesense_online.settings import EstimationSettings
 from cablesense_sim.machine.machine import Machine, open_machine
 
@@ -40,6 +41,10 @@ class LoadedMachine(Loaded):
     def law(self) -> MachineLaw:
         """The law in it."""
         return self._law
+
+    def movable(self) -> MovableMachine:
+        """See `Loaded`."""
+        return MovableMachine(self._felt)
 
     @property
     def reference_contacts(self) -> Callable[[], ReferenceContacts]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cablesense_contact.calibration import Calibration
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.errors import ModelFileError
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
@@ -23,6 +24,7 @@ from cablesense_contact.reference_contacts import ReferenceContacts
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.contacts import ContactFinder, LawContacts, NetworkContacts
+from cablesense_online.movable import Movable
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tared_arm import TaredArm
 from cablesense_sim.arm import Arm, open_arm
@@ -79,6 +81,14 @@ class Loaded(ABC):
     @abstractmethod
     def law(self) -> Law | None:
         """The law in it; None of a network."""
+
+    @abstractmethod
+    def movable(self) -> Movable:
+        """The machine as a commissioning moves it.
+
+        Raises:
+            CableSenseError: it has no law, or nothing here commands it.
+        """
 
     @property
     @abstractmethod
@@ -142,6 +152,18 @@ class LoadedModel(Loaded):
     def law(self) -> LawModel | None:
         """The law in it; None of a network."""
         return self.model if isinstance(self.model, LawModel) else None
+
+    def movable(self) -> Movable:
+        """See `Loaded`."""
+        from cablesense_online.movable_arm import MovableArm
+
+        law = self.law
+        if law is None:
+            raise ModelFileError(
+                f"{self.path}: a commissioning needs a model of contacts anywhere; make one with "
+                "`cablesense export`"
+            )
+        return MovableArm(self.arm, law)
 
     @property
     def reference_contacts(self) -> Callable[[], ReferenceContacts]:

@@ -1,9 +1,8 @@
-"""The `commissioner` node: moves the unloaded arm from pose to pose, until it is well known."""
+"""The `commissioner` node: moves an unloaded arm or machine from pose to pose, to know it."""
 
 from __future__ import annotations
 
 import array
-import math
 import sys
 import time
 from collections import deque
@@ -22,9 +21,6 @@ from cablesense_base import Array, CableSenseError
 from cablesense_base.files import output_file
 from cablesense_contact.calibration import CalibrationError
 from cablesense_contact.calibration_file import calibration_bytes, write_calibration
-from cablesense_contact.errors import ModelFileError
-from cablesense_contact.felt_arm import FeltArm
-from cablesense_contact.inference.law_model import LawModel
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,
@@ -36,7 +32,6 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
 from cablesense_msgs_py.serialized import EffortReader
-from cablesense_online.breathing import tip_m
 from cablesense_online.chosen_poses import chosen_poses
 from cablesense_online.commissioning import (
     Commissioning,
@@ -45,7 +40,7 @@ from cablesense_online.commissioning import (
     Stage,
 )
 from cablesense_online.followed_publisher import FollowedPublisher
-from cablesense_online.models import load_model
+from cablesense_online.loading import load
 from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, Stamps
 from cablesense_ros.endpoints import RefusalLog, qos_profile, serve, subscribe_to_one
 from cablesense_ros.node_process import (
@@ -54,7 +49,6 @@ from cablesense_ros.node_process import (
     publish_diagnostics,
     run_node,
 )
-from cablesense_sim.build import mechanism_of
 from cablesense_sim.compiled import leave_interpreted
 
 _TICK_S = 0.02
@@ -64,6 +58,10 @@ _DELIVERED_WITHIN = Duration(seconds=1)
 _OWN_COMMANDS = 500
 """Commands come back after having been sent, on a busy machine seconds later: the stamps of these
 many tell them from those of others."""
+_RATED_BY = 100
+"""Of so many latest readings the rate is taken."""
+_FEWEST_HEARD = 5
+"""Readings before a rate is known."""
 _SIDES = {"auto": None, "one": False, "both": True}
 
 
@@ -74,15 +72,13 @@ class CommissionerNode(Node):
         super().__init__("commissioner")
         self._given = declare_parameters(self, parameter_table("commissioner"))
         settings = self._given
-        loaded = load_model(settings["arm"], settings["model"])
-        if not isinstance(loaded.model, LawModel):
-            raise ModelFileError(
-                f"{loaded.path}: a commissioning needs a model of contacts anywhere; make one "
-                "with `cablesense export`"
-            )
-        self._law = loaded.model
-        self._arm = loaded.arm
-        arm = self._arm
+        loaded = load(settings["arm"], settings["model"])
+        self._movable = loaded.movable()
+        law = loaded.law
+        assert law is not None  # what can be moved has one
+        self._law = law
+        felt = loaded.machine
+        self._felt = felt
         self._settings = CommissioningSettings(
             joint_speed_rad_s=settings["joint_speed_rad_s"],
             settle_s=settings["settle_s"],
@@ -92,22 +88,22 @@ class CommissionerNode(Node):
             silent_after_s=settings["stale_after_s"],
         )
         self._poses_rad = chosen_poses(
-            arm, self._law, settings["poses"], settings["bend_rad"], settings["readings"]
+            self._movable, law, settings["poses"], settings["bend_rad"], settings["readings"]
         )
-        self._joints = NamedOrder(arm.joint_names, "joints")
-        self._cables = NamedOrder(arm.cable_names, "cables")
+        self._joints = NamedOrder(felt.command_names, "joints")
+        self._cables = NamedOrder(felt.channels.names, "cables")
         self._reader = EffortReader()
-        self._limits = ReadingLimits(FeltArm(arm).channels)
+        self._limits = ReadingLimits(felt.channels)
         self._stamps = Stamps()
         self._base_rad: Array | None = None
         if not settings["await_command"]:
-            self._base_rad = np.zeros(arm.joint_count)
+            self._base_rad = felt.first_command
         self._commanded_ns = 0
-        self._heard_s = -math.inf
+        self._heard_s: deque[float] = deque(maxlen=_RATED_BY)
         self._sent_ns: deque[int] = deque(maxlen=_OWN_COMMANDS)
         self._running: Commissioning | None = None
         self._status = Status("commissioning", Level.OK, "none yet")
-        self._message = JointState(name=list(arm.joint_names))
+        self._message = JointState(name=list(felt.command_names))
         self._commands = self.create_publisher(
             JointState, topics.JOINT_COMMANDS, qos_profile(COMMAND)
         )
@@ -130,9 +126,9 @@ class CommissionerNode(Node):
         )
         serve(self, topics.COMMISSION, self._begin)
         self.create_timer(_TICK_S, self._tick)
-        publish_diagnostics(self, self._statuses, lambda: arm.identity)
+        publish_diagnostics(self, self._statuses, lambda: felt.identity)
         self.get_logger().info(
-            f"arm {arm.identity}, model {loaded.path}: {len(self._poses_rad)} poses chosen"
+            f"arm {felt.identity}, model {loaded.path}: {len(self._poses_rad)} poses chosen"
         )
 
     def destroy_node(self) -> None:
@@ -166,30 +162,43 @@ class CommissionerNode(Node):
                 f"commanded {waited_s:.1f} s ago; a commissioning begins {settings['rest_s']:g} s "
                 "after a command (rest_s) at the earliest"
             )
-        if time.monotonic() - self._heard_s > settings["stale_after_s"]:
+        rate_hz = self._rate_hz()
+        if settings["calibration_file"]:
+            output_file(settings["calibration_file"], force=True)
+        start_rad = self._base_rad
+        farthest_m = self._movable.farthest_m(start_rad, self._poses_rad)
+        running = Commissioning(
+            self._movable, self._law, self._poses_rad, start_rad, now_ns, rate_hz, self._settings
+        )
+        self._running = running
+        progress = running.progress
+        return (
+            f"{progress.holds} holds in {len(self._poses_rad)} poses, about "
+            f"{progress.remaining_s:.0f} s; its end moves by up to {farthest_m:.2f} m: leave it "
+            "alone"
+        )
+
+    def _rate_hz(self) -> float:
+        """At which readings come now.
+
+        Raises:
+            CommissioningRefusedError: none do, or there are too few yet.
+        """
+        heard_s = self._heard_s
+        if not heard_s or time.monotonic() - heard_s[-1] > self._given["stale_after_s"]:
             raise CommissioningRefusedError(
                 f"no readings on {topics.CABLE_TENSIONS}; are the sensors' driver and the network "
                 "running?"
             )
-        if settings["calibration_file"]:
-            output_file(settings["calibration_file"], force=True)
-        start_rad = self._base_rad
-        running = Commissioning(
-            self._arm, self._law, self._poses_rad, start_rad, now_ns, self._settings
-        )
-        self._running = running
-        mechanism = mechanism_of(self._arm)
-        moved_m = tip_m(mechanism, self._poses_rad) - tip_m(mechanism, start_rad)
-        farthest_m = float(np.linalg.norm(moved_m, axis=-1).max())
-        progress = running.progress
-        return (
-            f"{progress.holds} holds in {len(self._poses_rad)} poses, about "
-            f"{progress.remaining_s:.0f} s; the tip moves by up to {farthest_m:.2f} m: leave the "
-            "arm alone"
-        )
+        if len(heard_s) < _FEWEST_HEARD:
+            raise CommissioningRefusedError(
+                f"only {len(heard_s)} readings on {topics.CABLE_TENSIONS} yet; call again in a "
+                "moment"
+            )
+        return (len(heard_s) - 1) / (heard_s[-1] - heard_s[0])
 
     def _on_tensions(self, raw: bytes) -> None:
-        self._heard_s = time.monotonic()
+        self._heard_s.append(time.monotonic())
         running = self._running
         if running is None:
             return
@@ -212,7 +221,9 @@ class CommissionerNode(Node):
         if breath_turn(message) is not None:
             self._give_way("a breather moves the arm")
             return
-        command_rad = joint_command_rad(message, self._joints, self._base_rad)
+        command_rad = joint_command_rad(
+            message, self._joints, self._base_rad, self._felt.largest_command
+        )
         if Time.from_msg(message.header.stamp).nanoseconds in self._sent_ns:
             return
         if self._base_rad is None or not np.array_equal(command_rad, self._base_rad):
@@ -257,9 +268,10 @@ class CommissionerNode(Node):
             self.get_logger().error(f"{text}; nothing was saved")
             return
         calibration = ended.calibration
-        content = calibration_bytes(calibration, self._arm)
+        content = calibration_bytes(calibration, self._felt)
         self._calibrations.publish(UInt8MultiArray(data=array.array("B", content)))
-        values["force of a contact known to (N)"] = f"{ended.progress.force_known_n:.3f}"
+        known_force = ended.progress.known_force
+        values["force of a contact known to (N)"] = f"{known_force.half_interval_n:.3g}"
         values["probability of such residuals"] = f"{calibration.misfit_probability:.3g}"
         level = Level.OK
         text = f"done: {calibration.made_from}"
@@ -267,20 +279,18 @@ class CommissionerNode(Node):
             text += f", {ended.skipped} holds left out where a cable would be nearly slack"
         if not calibration.as_described:
             level = Level.WARN
-            text += "; the arm is not as its file's tolerances describe it"
+            text += "; it is not as its file's tolerances describe it"
         path = self._given["calibration_file"]
         if path:
             values["file"] = path
             try:
-                write_calibration(path, calibration, self._arm)
+                write_calibration(path, calibration, self._felt)
             except CalibrationError as error:
                 level = Level.ERROR
                 text += f"; not saved: {error}"
         self._status = Status("commissioning", level, text, values)
         log = self.get_logger()
-        (log.info if level is Level.OK else log.warning)(
-            f"{text}; a push is known to ± {ended.progress.force_known_n:.2f} N"
-        )
+        (log.info if level is Level.OK else log.warning)(f"{text}; {known_force.text}")
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -293,7 +303,7 @@ class CommissionerNode(Node):
         values = {
             "holds": f"{progress.holds_done} of {progress.holds}",
             "left (s)": f"{progress.remaining_s:.0f}",
-            "force of a contact known to (N)": f"{progress.force_known_n:.3f}",
+            "force of a contact known to (N)": f"{progress.known_force.half_interval_n:.3g}",
         }
         text = f"{running.stage.value}: {progress.text}"
         return [Status("commissioning", Level.OK, text, values)]

@@ -9,16 +9,17 @@ from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.reference_contacts import ReferenceContacts
-from cablesense_online.chosen_poses import PoseError, UnloadedReadings, chosen_poses
+from cablesense_online.chosen_poses import PoseError, chosen_poses
 from cablesense_online.commissioning import (
     Commissioning,
     CommissioningRefusedError,
     CommissioningSettings,
     Stage,
-    approach_direction,
     expected_duration_s,
     visits,
 )
+from cablesense_online.movable import taut
+from cablesense_online.movable_arm import MovableArm, approach_direction
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim import kinematics
@@ -43,7 +44,7 @@ def lab():
     tolerances = arm.tolerances.model_copy(update={"friction_coefficient": 0.0})
     arm = arm.model_copy(update={"tolerances": tolerances})
     law = law_of(arm)
-    return arm, law, chosen_poses(arm, law)
+    return arm, law, chosen_poses(MovableArm(arm, law), law)
 
 
 @pytest.fixture(scope="module")
@@ -96,18 +97,19 @@ def commissioned(lab, built, count=None, **settings):
     arm, law, poses = lab
     given = CommissioningSettings(**{"readings": 10, "silent_after_s": 2.0, **settings})
     start = np.zeros(arm.joint_count)
-    return Bench(Commissioning(arm, law, poses[:count], start, 0, given), built)
+    movable = MovableArm(arm, law)
+    rate_hz = arm.sensors.rate_hz
+    return Bench(Commissioning(movable, law, poses[:count], start, 0, rate_hz, given), built)
 
 
 def force_known_n(arm, law, poses):
     """What contacts will be known to, after these poses."""
     calibrator = Calibrator(FeltArm(arm), law)
-    readings = UnloadedReadings(arm, law).predicted_n(poses, calibrator.by_tolerances())
+    readings = MovableArm(arm, law).predicted_n(poses, calibrator.by_tolerances())
     unloaded = [Unloaded(*both, 20) for both in zip(readings, poses, strict=True)]
     calibration = calibrator.moved(calibrator.from_poses(unloaded))
-    return ReferenceContacts.of_arm(arm).force_known_n(
-        law, calibration.mean, calibration.covariance
-    )
+    contacts = ReferenceContacts.of_arm(arm)
+    return contacts.known_force(law, calibration.mean, calibration.covariance).half_interval_n
 
 
 def test_chosen_poses_teach_more_than_random_ones(lab):
@@ -127,9 +129,9 @@ def test_chosen_poses_are_within_the_range_taut_and_near_one_another(lab):
     assert len(np.unique(poses, axis=0)) == 25
     assert np.abs(poses).max() <= np.deg2rad(10.0)
     prior = Calibrator(FeltArm(arm), law).by_tolerances()
-    unloaded = UnloadedReadings(arm, law)
-    assert unloaded.predicted_n(poses, prior).min() > 10.0
-    assert unloaded.taut(poses, prior).all()
+    movable = MovableArm(arm, law)
+    assert movable.predicted_n(poses, prior).min() > 10.0
+    assert taut(movable, poses, prior).all()
     turns = np.abs(np.diff(poses, axis=0)).max(axis=1)
     shuffled = np.random.default_rng(0).permutation(poses)
     assert turns.sum() < np.abs(np.diff(shuffled, axis=0)).max(axis=1).sum()
@@ -139,14 +141,14 @@ def test_poses_are_refused_where_cables_get_slack(lab):
     arm, _, _ = lab
     slack = arm.model_copy(update={"cables": arm.cables.model_copy(update={"pretension_n": 8.0})})
     with pytest.raises(PoseError, match="above 20% of their pretension; 25 are needed"):
-        chosen_poses(slack, law_of(slack))
+        chosen_poses(MovableArm(slack, law_of(slack)), law_of(slack))
 
 
 def test_predicted_readings_are_those_of_the_equilibrium(lab):
     from cablesense_sim.equilibrium import solve_equilibrium
 
     arm, law, poses = lab
-    predicted_n = UnloadedReadings(arm, law).predicted_n(
+    predicted_n = MovableArm(arm, law).predicted_n(
         poses, Calibrator(FeltArm(arm), law).by_tolerances()
     )
     rest = solve_equilibrium(mechanism_of(arm), poses)
@@ -158,10 +160,12 @@ def test_predicted_readings_are_those_of_the_equilibrium(lab):
 def test_a_commissioning_takes_less_than_five_minutes(name):
     arm = open_arm(name)
     settings = CommissioningSettings()
-    poses = chosen_poses(arm, law_of(arm))
-    stops = visits(arm, poses, settings)
+    movable = MovableArm(arm, law_of(arm))
+    stops = visits(movable, chosen_poses(movable, law_of(arm)), settings)
     assert len(stops) == (50 if name == "cdsm_friction" else 25)
-    assert 30.0 < expected_duration_s(arm, stops, settings, np.zeros(8)) < 300.0
+    speed = settings.joint_speed_rad_s
+    taken_s = expected_duration_s(stops, settings, np.zeros(8), arm.sensors.rate_hz, speed)
+    assert 30.0 < taken_s < 300.0
 
 
 @pytest.mark.slow
@@ -171,7 +175,7 @@ def test_a_built_arm_is_known_after_its_commissioning(lab, built):
     before = bench.commissioning.progress
     assert before.holds == 25
     assert before.holds_done == 0
-    assert before.force_known_n > 0.8
+    assert before.known_force.half_interval_n > 0.8
     taken_s = bench.run(over)
     done = bench.commissioning
     assert done.stage is Stage.DONE, done.problem
@@ -180,7 +184,7 @@ def test_a_built_arm_is_known_after_its_commissioning(lab, built):
     assert before.remaining_s - 1.0 < taken_s < before.remaining_s + 25 * 2.5 * STEP_S
     assert done.progress.holds_done == 25
     assert done.progress.remaining_s == 0.0
-    assert done.progress.force_known_n < 0.2
+    assert done.progress.known_force.half_interval_n < 0.2
     assert "25 of 25 holds" in done.progress.text
     np.testing.assert_array_equal(bench.commands[-1], np.zeros(8))
     assert done.calibration.made_from == "a commissioning in 25 poses"
@@ -189,10 +193,10 @@ def test_a_built_arm_is_known_after_its_commissioning(lab, built):
     # readings in another pose are now predicted
     elsewhere = np.deg2rad(np.random.default_rng(3).uniform(-9.0, 9.0, (5, 8)))
     true_n = built.rests(elsewhere, [()] * 5).tensions_n * built.gains + built.zeros_n
-    unloaded = UnloadedReadings(arm, law)
+    movable = MovableArm(arm, law)
     prior = Calibrator(FeltArm(arm), law).by_tolerances()
-    off_before = np.abs(unloaded.predicted_n(elsewhere, prior) - true_n)
-    off_after = np.abs(unloaded.predicted_n(elsewhere, done.calibration) - true_n)
+    off_before = np.abs(movable.predicted_n(elsewhere, prior) - true_n)
+    off_after = np.abs(movable.predicted_n(elsewhere, done.calibration) - true_n)
     assert off_after.mean() < 0.1 * off_before.mean()
     assert off_after.max() < 1.0
 
@@ -282,17 +286,17 @@ def test_poses_are_reached_from_two_sides_and_with_friction_each_from_both():
     arm = open_arm("cdsm_lab")
     poses = np.deg2rad(np.random.default_rng(0).uniform(-5.0, 5.0, (4, 8)))
     settings = CommissioningSettings(approach_rad=0.02)
-    once = visits(arm, poses, settings)
+    once = visits(MovableArm(arm, None), poses, settings)
     sides = np.array([visit.beside_rad - visit.pose_rad for visit in once])
     np.testing.assert_allclose(sides[0::2], -sides[1::2])
     assert np.abs(sides).max() == pytest.approx(0.02)
-    twice = visits(open_arm("cdsm_friction"), poses, settings)
+    twice = visits(MovableArm(open_arm("cdsm_friction"), None), poses, settings)
     assert len(twice) == 8
     np.testing.assert_allclose(twice[0].pose_rad, twice[1].pose_rad)
     beside = twice[0].beside_rad - twice[0].pose_rad
     np.testing.assert_allclose(twice[1].beside_rad - twice[1].pose_rad, -beside)
     asked = CommissioningSettings(both_sides=True)
-    assert len(visits(arm, poses, asked)) == 8
+    assert len(visits(MovableArm(arm, None), poses, asked)) == 8
 
 
 def test_every_cable_moves_at_every_guide_on_the_approach():

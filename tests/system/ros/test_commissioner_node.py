@@ -52,7 +52,7 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     text = begin(graph)
     assert text.startswith("4 holds in 4 poses, about ")
-    assert "leave the arm alone" in text
+    assert "leave it alone" in text
     refused = graph.call("/commissioner/commission")
     assert not refused.success
     assert "under way" in refused.message

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import INPUTS
 from cablesense_recording import mcap_file
 from cablesense_recording.checks import read_recording
 from cablesense_recording.mcap_file import read_mcap
