@@ -267,9 +267,9 @@ class Bench:
             true_place_m=true_place_m,
             lateral_n=np.hypot(*seen.force_n[:, 1:].T),
             true_lateral_n=true_lateral_n,
-            in_place=_within(true_place_m, seen.place_ci95_m),
-            in_region=_within(joint_m[true_link] + true_place_m, seen.region_m),
-            in_force=_within(true_lateral_n, seen.magnitude_ci95_n),
+            in_place=within(true_place_m, seen.place_ci95_m),
+            in_region=within(joint_m[true_link] + true_place_m, seen.region_m),
+            in_force=within(true_lateral_n, seen.magnitude_ci95_n),
             place_std_m=np.array([sample.place_std_m for sample in samples]),
             lateral_std_n=np.array([sample.lateral_std_n for sample in samples]),
             answered=np.array(
@@ -338,7 +338,8 @@ class Bench:
         return 1e3 * spent_s / len(samples[:200])
 
 
-def _within(value: Array, interval: Array) -> Array:
+def within(value: Array, interval: Array) -> Array:
+    """(B,) whether values are inside intervals (B, 2), to rounding."""
     rounding = 1e-6 * np.abs(value)
     return np.asarray((interval[:, 0] <= value + rounding) & (value - rounding <= interval[:, 1]))
 

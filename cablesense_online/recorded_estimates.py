@@ -18,7 +18,7 @@ from cablesense_msgs_py.messages import ForceState
 from cablesense_msgs_py.serialized import EffortWriter
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
-from cablesense_online.models import LoadedModel
+from cablesense_online.models import Loaded
 from cablesense_online.settings import EstimationSettings
 from cablesense_recording.recording import Recording, RecordingError
 
@@ -35,7 +35,7 @@ class RecordedAnswer(NamedTuple):
 
 def recorded_answers(
     recording: Recording,
-    loaded: LoadedModel,
+    loaded: Loaded,
     settings: EstimationSettings,
     calibration: Calibration | None = None,
 ) -> Iterator[RecordedAnswer]:
@@ -44,17 +44,17 @@ def recorded_answers(
     Raises:
         TareError: a calibration is given with a network, which takes none.
     """
-    arm = loaded.arm
-    estimation = Estimation(loaded.machine, loaded.contacts(settings), settings, 0.0, calibration)
+    machine = loaded.machine
+    estimation = Estimation(machine, loaded.contacts(settings), settings, 0.0, calibration)
     estimation.begin_at(recording.command_rad[0])
-    writer = EffortWriter(arm.cable_names)
+    writer = EffortWriter(machine.channels.names)
     last_rad: Array | None = None
     for time_s, command_rad, reading_n in zip(
         recording.time_s.tolist(), recording.command_rad, recording.tensions_n, strict=True
     ):
         stamp_ns = _BEGIN_NS + round(time_s * 1e9)
         if last_rad is None or not np.array_equal(command_rad, last_rad):
-            estimation.command(_command(arm.joint_names, command_rad, stamp_ns))
+            estimation.command(_command(machine.command_names, command_rad, stamp_ns))
             last_rad = command_rad
         raw = writer.write(stamp_ns, reading_n.tolist())
         yield RecordedAnswer(time_s, estimation.sample(raw, stamp_ns, stamp_ns * 1e-9))
@@ -76,7 +76,7 @@ def require_tare(answers: list[RecordedAnswer], count: int) -> None:
 
 
 def _command(names: tuple[str, ...], angles_rad: Array, stamp_ns: int) -> SimpleNamespace:
-    """A `JointState` of commanded angles, without ROS."""
+    """A `JointState` of commands, or of measured positions, without ROS."""
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
     header = SimpleNamespace(frame_id="", stamp=stamp)

@@ -19,7 +19,6 @@ from cablesense_ros.cli.options import (
     ColumnsOption,
     ForceOption,
     JsonOption,
-    NominalArmOption,
     OptionError,
     TopicsOption,
     print_json,
@@ -29,8 +28,8 @@ from cablesense_ros.cli.options import (
 if TYPE_CHECKING:
     from cablesense_online.recorded_estimates import RecordedAnswer
     from cablesense_online.settings import EstimationSettings
+    from cablesense_recording.layout import Described
     from cablesense_recording.recording import Recording
-    from cablesense_sim.arm import Arm
 
 _DPI = 110
 
@@ -44,7 +43,10 @@ def estimate(
             "not needed."
         ),
     ],
-    arm: NominalArmOption = "cdsm_lab",
+    arm: Annotated[
+        str,
+        typer.Option(help="Arm file: a path, or the name of a bundled one; or a machine file."),
+    ] = "cdsm_lab",
     model: Annotated[
         str, typer.Option(help="Model file: a bundled name, or a path. Default: the arm's own.")
     ] = "",
@@ -70,7 +72,7 @@ def estimate(
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Estimate the contacts in a recording of tensions and commands; write a table and a plot.
+    """Estimate the contacts in a recording of readings and commands; write a table and a plot.
 
     Names and units of columns may be any: --columns names a file that says what they mean, the
     same as for gap diagnose and sensors check. Each row is answered as the node answers a sample.
@@ -78,7 +80,7 @@ def estimate(
     Examples: [bold]cablesense estimate run.mcap --arm my_arm.yaml --model my_arm.onnx[/bold],
     [bold]cablesense estimate my.csv --columns map.yaml --arm my_arm.yaml[/bold]
     """
-    from cablesense_online.models import load_model
+    from cablesense_online.loading import load
     from cablesense_online.recorded_estimates import recorded_answers, require_tare
 
     if calibration is not None:
@@ -89,34 +91,37 @@ def estimate(
     inputs = (recording, arm, model, columns, calibration)
     output_file(out, force=force, inputs=inputs)
     output_file(drawn, force=force, inputs=inputs)
-    loaded = load_model(arm, model)
-    recorded = _read(recording, loaded.arm, columns, topic or ())
+    loaded = load(arm, model)
+    recorded = _read(recording, loaded.described, columns, topic or ())
     known = loaded.calibration("" if calibration is None else str(calibration))
     settings = node_settings(tare_samples=tare_rows)
     answers = list(recorded_answers(recorded, loaded, settings, known))
     require_tare(answers, tare_rows)
     write_atomically(out, _table(answers), OutputError)
-    write_atomically(drawn, _drawn(answers, loaded.arm, drawn), OutputError)
+    links = [name.replace("_", " ") for name in loaded.machine.link_names]
+    write_atomically(drawn, _drawn(answers, links, drawn), OutputError)
     summary = _summary(answers)
     if json_output:
         print_json({**summary, "table": str(out), "picture": str(drawn)})
         return
-    for line in _lines(summary):
+    for line in _lines(summary, links):
         print(line)
     print(f"table: {out}; plot: {drawn}")
 
 
-def _read(path: Path, arm: Arm, columns: Path | None, topics: Sequence[str]) -> Recording:
+def _read(
+    path: Path, machine: Described, columns: Path | None, topics: Sequence[str]
+) -> Recording:
     from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import ColumnMap, read_column_map
     from cablesense_recording.csv_file import CSV_ENDINGS
 
-    described = None if columns is None else read_column_map(columns, arm)
+    described = None if columns is None else read_column_map(columns, machine)
     if described is None and path.name.lower().endswith(CSV_ENDINGS):
         described = ColumnMap()  # our names, without trials and loads
     elif described is not None:
         described = described.unloaded
-    return read_recording(path, arm, topics, described)
+    return read_recording(path, machine, topics, described)
 
 
 def node_settings(**changes: Any) -> EstimationSettings:
@@ -154,8 +159,8 @@ def _cell(value: object) -> object:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
-def _drawn(answers: Sequence[RecordedAnswer], arm: Arm, path: Path) -> bytes:
-    """Force with its interval, and segment, over time; grey where no force is known."""
+def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) -> bytes:
+    """Force with its interval, and link, over time; grey where no force is known."""
     from matplotlib.figure import Figure
 
     time_s = np.array([each.time_s for each in answers])
@@ -181,10 +186,9 @@ def _drawn(answers: Sequence[RecordedAnswer], arm: Arm, path: Path) -> bytes:
     segment_axes.plot(time_s, touched, ".", ms=3.0)
     segment_axes.set(
         xlabel="time, s (grey: no force is known or vouched for)",
-        ylabel="segment",
-        yticks=range(1, arm.segment_count + 1),
-        ylim=(0.5, arm.segment_count + 0.5),
+        ylim=(0.5, len(links) + 0.5),
     )
+    segment_axes.set_yticks(range(1, len(links) + 1), links, fontsize=7)
     content = io.BytesIO()
     figure.savefig(content, format=path.suffix.removeprefix(".") or "png", dpi=_DPI)
     return content.getvalue()
@@ -207,13 +211,13 @@ def _summary(answers: Sequence[RecordedAnswer]) -> dict[str, Any]:
     }
 
 
-def _lines(summary: dict[str, Any]) -> list[str]:
+def _lines(summary: dict[str, Any], links: Sequence[str]) -> list[str]:
     states = ", ".join(f"{count:,} {state}" for state, count in summary["states"].items())
     lines = [f"{summary['rows']:,} rows: {states}"]
     strongest = summary["strongest"]
     if strongest["segment"]:
         lines.append(
-            f"strongest: {strongest['magnitude_n']:.1f} N on segment {strongest['segment']}, "
+            f"strongest: {strongest['magnitude_n']:.3g} N on {links[strongest['segment'] - 1]}, "
             f"{1e3 * strongest['place_m']:.0f} mm from its joint, at {strongest['time_s']:.2f} s "
             f"({strongest['state']})"
         )

@@ -1,4 +1,4 @@
-"""A machine that MuJoCo describes, as nodes: pushed, it says on which link, where and how hard."""
+"""A machine that MuJoCo describes, as nodes: it gets known, and says where it is pushed."""
 
 import shutil
 from pathlib import Path
@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, WrenchStamped
 
+from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_msgs_py.messages import ForceState
 from cablesense_ros.cli.export import export
+from cablesense_sim.machine.machine import open_machine
 from tests.helpers.ros_graph import force
 
 MACHINES = Path(__file__).parents[3] / "config" / "machines"
+COMMISSIONING = "commissioner: commissioning"
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +40,7 @@ def test_a_push_on_a_link_is_found_within_its_interval(graph, nodes):
     lower = graph.listen(WrenchStamped, "/estimator/wrench_lower")
     upper = graph.listen(WrenchStamped, "/estimator/wrench_upper")
     graph.until(lambda: said(graph) is ForceState.FREE, "an arm that nothing touches")
-    message = WrenchStamped()
-    message.header.frame_id = "link_6"
-    message.wrench.force.y = 8.0
-    message.wrench.force.z = 6.0
-    graph.until(graph.load.get_subscription_count, "a subscriber of loads")
-    graph.load.publish(message)
+    push(graph, "link_6", (0.0, 8.0, 6.0))
     graph.until(lambda: said(graph) is ForceState.CONTACT and points, "a contact")
     wrench = graph.wrenches[-2]
     assert wrench.header.frame_id == "link_6"
@@ -51,6 +50,50 @@ def test_a_push_on_a_link_is_found_within_its_interval(graph, nodes):
     assert low_n < 10.0 < high_n
     # in the middle of where the link is touched, which is its default place
     assert points[-1].point.x == pytest.approx(0.06, abs=0.01)
+    push(graph, "link_6", (0.0, 0.0, 0.0))
+
+
+@pytest.mark.timeout(300)
+def test_a_commissioning_stops_on_contact_and_ends_in_a_calibration(
+    graph, start, nodes, arm, tmp_path
+):
+    file = tmp_path / "arm.calibration"
+    settings = {"poses": 3, "bend_deg": 5.0, "rest_s": 0.0, "await_command": False}
+    start("commissioner", arm=str(arm), calibration_file=str(file), **settings)
+    graph.until(lambda: status(graph, COMMISSIONING), "the commissioner's diagnostics")
+    answer = graph.call("/commissioner/commission")
+    assert answer.success, answer.message
+    assert answer.message.startswith("3 holds in 3 poses, about ")
+    push(graph, "link_5", (0.0, 8.0, 6.0))
+    graph.until(lambda: status(graph, COMMISSIONING).startswith("stopped"), "the stop")
+    assert "touches link 5" in status(graph, COMMISSIONING)
+    assert not file.exists()
+
+    push(graph, "link_5", (0.0, 0.0, 0.0))
+    graph.spin(1.0)
+    assert graph.call("/commissioner/commission").success
+    graph.until(lambda: "is known to" in status(graph, COMMISSIONING), "progress")
+    graph.until(lambda: status(graph, COMMISSIONING).startswith("done"), "the end")
+    calibration = read_calibration(file, FeltModel(open_machine(arm)))
+    assert len(calibration.unloaded) == 3
+    assert calibration.as_described
+    tare = "estimator: tare"
+    graph.until(lambda: "a commissioning in 3 poses" in status(graph, tare), "its use")
+
+
+def push(graph, link, force_base_n):
+    """Put a load on a link."""
+    message = WrenchStamped()
+    message.header.frame_id = link
+    message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = force_base_n
+    graph.until(graph.load.get_subscription_count, "a subscriber of loads")
+    graph.load.publish(message)
+
+
+def status(graph, name):
+    """The latest message of a status; empty before there is one."""
+    latest = graph.statuses.get(name)
+    return latest.message if latest else ""
 
 
 def said(graph):
