@@ -15,11 +15,9 @@ under a load from changes of the readings (`slides_under_load`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.slides import Belief, Slides, turned
@@ -153,17 +151,6 @@ class CableSlides:
         common = np.rint(slides.common / _ROUNDED)
         key = b"".join(part.astype(np.int8).tobytes() for part in (mean, std, common))
         return key, Slides(_ROUNDED * mean, _ROUNDED * std, _ROUNDED * common)
-
-    def alike(self, slides: Sequence[Slides]) -> Iterator[tuple[Slides, NDArray[np.int64]]]:
-        """Slides that differ, each with the positions where it stands."""
-        rows: dict[bytes, list[int]] = {}
-        by_key: dict[bytes, Slides] = {}
-        for row, one in enumerate(slides):
-            key, rounded = self.rounded(one)
-            rows.setdefault(key, []).append(row)
-            by_key[key] = rounded
-        for key, rounded in by_key.items():
-            yield rounded, np.array(rows[key], dtype=np.int64)
 
     def carried(self, known: Belief, slides: Slides) -> Belief:
         """What is known with these slides: the mean and covariance of what friction carries."""

@@ -7,7 +7,7 @@ and judges readings knows no other difference between them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -244,6 +244,20 @@ class FeltMachine(Protocol):
     def links_at(self, pose: Array) -> LinksAtPose:
         """The links at such a pose."""
         ...
+
+
+def alike(
+    known: KnownSlides, slides: Sequence[Slides]
+) -> Iterator[tuple[Slides, NDArray[np.int64]]]:
+    """Slides that differ, each with the positions where it stands."""
+    rows: dict[bytes, list[int]] = {}
+    by_key: dict[bytes, Slides] = {}
+    for row, one in enumerate(slides):
+        key, rounded = known.rounded(one)
+        rows.setdefault(key, []).append(row)
+        by_key[key] = rounded
+    for key, rounded in by_key.items():
+        yield rounded, np.array(rows[key], dtype=np.int64)
 
 
 def still(machine: FeltMachine) -> Array:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cablesense_base import Array
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Unloaded
 from cablesense_recording.recording import Recording, RecordingError
@@ -21,15 +20,27 @@ _ONE_POSE = 1e-3
 """Measured joints are in one pose while they are within this of its first row, rad or m."""
 
 
-def unloaded_holds(
-    recording: Recording, ended_ns: int = 0, *, measured: bool = False
-) -> list[Unloaded]:
+def with_held_positions(recording: Recording) -> Recording:
+    """A recording of measured positions, which have noise, as if each pose had been commanded.
+
+    Rows whose joints stay within a milliradian of the first of them have the mean of all.
+    """
+    positions = recording.command_rad.copy()
+    first = 0
+    for row in range(1, len(positions) + 1):
+        ends = row == len(positions)
+        if ends or np.abs(positions[row] - recording.command_rad[first]).max() > _ONE_POSE:
+            positions[first:row] = positions[first:row].mean(axis=0)
+            first = row
+    return replace(recording, command_rad=positions)
+
+
+def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     """The mean reading of each stay at one command without a load, in time order.
 
     Args:
         recording: in which `load_segment` is 0 where nothing acts on the arm.
         ended_ns: time of the last row since the epoch; 0 where it is not known.
-        measured: whether its commands are measured positions, which have noise.
 
     Raises:
         RecordingError: there is none.
@@ -37,11 +48,10 @@ def unloaded_holds(
     holds: list[Unloaded] = []
     way = LastWay()
     end = 0
-    for rows in _stays(recording, _ONE_POSE if measured else 0.0):
+    for rows in _stays(recording):
         if rows.start != end or recording.trial[rows.start] != recording.trial[end - 1]:
             way = LastWay()
-        if not measured:
-            way = way.to(recording.command_rad[rows.start])
+        way = way.to(recording.command_rad[rows.start])
         end = rows.stop
         begun_s = recording.time_s[rows.start]
         times_s = recording.time_s[rows]
@@ -54,8 +64,6 @@ def unloaded_holds(
         taken_ns = ended_ns - round(1e9 * before_end_s) if ended_ns else 0
         readings_n = recording.tensions_n[rows][settled]
         command_rad = recording.command_rad[rows.start]
-        if measured:
-            command_rad = recording.command_rad[rows][settled].mean(axis=0)
         holds.append(
             Unloaded(
                 readings_n.mean(axis=0), command_rad, len(readings_n), taken_ns, way.came_from_rad
@@ -70,10 +78,10 @@ def unloaded_holds(
     return holds
 
 
-def _stays(recording: Recording, within: float) -> Iterator[slice]:
-    """Runs of rows without a load and with one command, to within some deviation of the first."""
+def _stays(recording: Recording) -> Iterator[slice]:
+    """Runs of rows without a load and with one and the same command."""
     unloaded = recording.load_segment == 0
-    moved = _moved(recording.command_rad, within)
+    moved = (np.diff(recording.command_rad, axis=0) != 0.0).any(axis=1)
     other_trial = np.diff(recording.trial) != 0
     loaded = np.diff(unloaded.astype(int)) != 0
     ends = np.flatnonzero(moved | loaded | other_trial) + 1
@@ -81,16 +89,3 @@ def _stays(recording: Recording, within: float) -> Iterator[slice]:
     for start, stop in pairwise(bounds):
         if unloaded[start]:
             yield slice(start, stop)
-
-
-def _moved(commands: Array, within: float) -> NDArray[np.bool_]:
-    """(R - 1,) whether a row's command (C,) is another than that of the stay it would continue."""
-    if not within:
-        return np.asarray((np.diff(commands, axis=0) != 0.0).any(axis=1))
-    moved = np.zeros(max(len(commands) - 1, 0), dtype=bool)
-    first = 0
-    for row in range(1, len(commands)):
-        if np.abs(commands[row] - commands[first]).max() > within:
-            moved[row - 1] = True
-            first = row
-    return moved

@@ -22,8 +22,8 @@ from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
     ArmLaw,
-    RecordedArm,
     RecordedErrors,
+    RecordedMachine,
     arm_of,
     at_contact_points,
     recorded_errors,
@@ -172,7 +172,7 @@ def adapted_estimator(
     trials = np.unique(recording.trial[rows])
     chosen = np.linspace(0, len(trials) - 1, min(len(trials), _MOST_TRIALS)).astype(int)
     rows &= np.isin(recording.trial, trials[chosen])
-    known = RecordedArm(recording, tares, TorchLaw(found.amended), calibration)
+    known = RecordedMachine(recording, tares, TorchLaw(found.amended), calibration)
     unexplained_n2 = known.unexplained_n2(rows)
     law = TorchLaw(found.amended, unexplained_n2)
     return AdaptedEstimator(law, calibration, unexplained_n2)

@@ -1,6 +1,6 @@
 """Known loads of a recording as contacts, and an estimator's errors on them.
 
-The law of an arm knows it by a calibration from unloaded rows. It answers a reading as the
+The law of a machine knows it by a calibration from unloaded rows. It answers a reading as the
 estimator node does, but at commands that are known to have settled. A network of the paper gets
 differences to a tare.
 """
@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.felt import FeltMachine, alike, still
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
 from cablesense_contact.inference.law_model import LawModel
@@ -26,13 +26,13 @@ from cablesense_contact.inference.metadata import ANYWHERE
 from cablesense_contact.inference.model_file import read_model
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
+from cablesense_contact.machine.felt_model import FeltModel
+from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.slides import Belief, Slides
 from cablesense_recording.recording import SAME_PLACE_M, Recording, RecordingError
-from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended, loadings
-from cablesense_sim.loads import normal_components_n
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -60,6 +60,10 @@ class ArmLaw(Law, Protocol):
         ...
 
 
+KnownLaw: TypeAlias = ArmLaw | MachineLaw
+"""The law of an arm, or of a machine that MuJoCo describes."""
+
+
 def open_estimator(path: str | Path, arm: Arm | None = None) -> LawModel | Estimator:
     """Open a model of single contacts, for a certain arm where one is given.
 
@@ -74,6 +78,13 @@ def open_estimator(path: str | Path, arm: Arm | None = None) -> LawModel | Estim
 def arm_of(estimator: ArmLaw | Estimator) -> Arm:
     """The arm that an estimator was made for."""
     return estimator.metadata.arm if isinstance(estimator, Estimator) else estimator.arm
+
+
+def felt_of(estimator: KnownLaw | Estimator) -> FeltMachine:
+    """The machine that an estimator was made for."""
+    if isinstance(estimator, MachineLaw):
+        return FeltModel(estimator.machine)
+    return FeltArm(arm_of(estimator))
 
 
 @dataclass(frozen=True)
@@ -188,6 +199,16 @@ def loads_at_m(recording: Recording, arm: Arm) -> Array:
     return np.asarray(at_m + moved_m[segment])
 
 
+def _places_m(recording: Recording, machine: FeltMachine) -> Array:
+    """(R,) where each load acts on its link, along its axis; see `loads_at_m` for an arm."""
+    if isinstance(machine, FeltArm):
+        return loads_at_m(recording, machine.arm)
+    at_m = np.asarray(machine.contact_m)[np.maximum(recording.load_segment, 1) - 1]
+    if recording.load_at_m is None:
+        return at_m
+    return np.where(np.isfinite(recording.load_at_m), recording.load_at_m, at_m)
+
+
 def with_acting_loads(recording: Recording, arm: Arm) -> Recording:
     """The recording with the loads that acted, given the errors that an arm lists of its cell."""
     load_n = recording.load_n
@@ -205,6 +226,7 @@ class RecordedErrors(NamedTuple):
         whole: errors over all rows.
         by_segment: errors over the rows with a load on each segment, by its number.
         false_n: mean force estimated in rows without a load; NaN without such rows.
+        links: names of the machine's links.
         confirmed: share of the loaded rows answered with a contact that is vouched for; NaN of a
             network, which vouches for none.
     """
@@ -214,6 +236,7 @@ class RecordedErrors(NamedTuple):
     whole: SingleContactMetrics
     by_segment: dict[int, SingleContactMetrics]
     false_n: float
+    links: tuple[str, ...]
     confirmed: float = float("nan")
 
     @property
@@ -241,12 +264,12 @@ class RecordedErrors(NamedTuple):
 
 def recorded_errors(
     recording: Recording,
-    estimator: ArmLaw | Estimator,
+    estimator: KnownLaw | Estimator,
     trials: Collection[int] | None = None,
     anywhere: bool | None = None,
     calibration: Calibration | None = None,
 ) -> RecordedErrors:
-    """The errors of an estimator on the contacts of a recording of its arm, or of some trials.
+    """The errors of an estimator on the contacts of a recording of its machine, or of some trials.
 
     Loads elsewhere than at the arm file's contact points count if they may be `anywhere`, by
     default for a law. A law is calibrated by the tolerances of its arm and the unloaded rows of
@@ -256,30 +279,29 @@ def recorded_errors(
         RecordingError: no load at a contact point follows unloaded rows at its command, so there
             is no tare.
     """
-    arm = arm_of(estimator)
+    machine = felt_of(estimator)
     if anywhere is None:
         anywhere = not isinstance(estimator, Estimator)
     tares = tares_of(recording)
-    rows = _judged_rows(recording, arm, tares, trials, anywhere=anywhere)
+    usable = np.asarray(tares.of_row >= 0)
+    if not anywhere and not isinstance(estimator, MachineLaw):
+        usable &= at_contact_points(recording, arm_of(estimator))
+    rows = _judged_rows(recording, usable, trials)
     confirmed = None
     if isinstance(estimator, Estimator):
+        command_rad = recording.command_rad[rows]
         difference_n = (recording.tensions_n - tares_n(recording))[rows]
-        answer = ContactAnswer.of(
-            estimator.estimate_batch(difference_n, recording.command_rad[rows])
-        )
+        answer = ContactAnswer.of(estimator.estimate_batch(difference_n, command_rad))
+        poses = command_rad
     else:
-        known = RecordedArm(recording, tares, estimator, calibration, trials)
-        answer, confirmed = known.answers(rows)
-    return _errors(recording.rows(rows), arm, answer, confirmed)
+        known = RecordedMachine(recording, tares, estimator, calibration, trials)
+        answer, confirmed, poses = known.answers(rows)
+    return _errors(recording.rows(rows), machine, answer, confirmed, poses)
 
 
-def _judged_rows(
-    recording: Recording, arm: Arm, tares: Tares, trials: Collection[int] | None, *, anywhere: bool
-) -> Rows:
-    """(R,) loaded and released rows with a tare."""
-    rows = np.asarray(tares.of_row >= 0)
-    if not anywhere:
-        rows &= at_contact_points(recording, arm)
+def _judged_rows(recording: Recording, usable: Rows, trials: Collection[int] | None) -> Rows:
+    """(R,) the usable rows, loaded and released ones with a tare, of some trials or all."""
+    rows = usable.copy()
     if trials is not None:
         rows &= np.isin(recording.trial, list(trials))
     if not (rows & (recording.load_segment > 0)).any():
@@ -292,17 +314,19 @@ def _judged_rows(
 
 
 def _errors(
-    taken: Recording, arm: Arm, answer: ContactAnswer, confirmed: Rows | None
+    taken: Recording,
+    machine: FeltMachine,
+    answer: ContactAnswer,
+    confirmed: Rows | None,
+    poses: Array,
 ) -> RecordedErrors:
-    """Errors of answers on all rows of a recording."""
-    y, z = normal_components_n(
-        mechanism_of(arm), taken.command_rad, np.maximum(taken.load_segment, 1), taken.load_n
-    )
+    """Errors of answers on all rows of a recording, at poses (R, T)."""
+    _, y, z = _in_link_axes(taken, machine, poses).T
     truth = ContactTruth(taken.load_segment, np.rad2deg(np.arctan2(y, z)) % 360.0, np.hypot(y, z))
 
     def errors(chosen: Rows) -> SingleContactMetrics:
         return single_contact_metrics(
-            truth.select(chosen), answer.select(chosen), arm.segment_count
+            truth.select(chosen), answer.select(chosen), len(machine.link_names)
         )
 
     free = truth.segment == 0
@@ -312,18 +336,33 @@ def _errors(
         errors(np.ones(len(taken), dtype=bool)),
         {int(n): errors(truth.segment == n) for n in np.unique(truth.segment) if n},
         mean_or_nan(answer.force_n[free]),
+        tuple(name.replace("_", " ") for name in machine.link_names),
         float("nan") if confirmed is None else mean_or_nan(confirmed[~free]),
     )
 
 
-class RecordedArm:
-    """The arm of a recording as its law knows it, tare by tare."""
+def _in_link_axes(taken: Recording, machine: FeltMachine, poses: Array) -> Array:
+    """(R, 3) the loads along the axes in which contacts on their links are stated."""
+    axes: dict[bytes, Array] = {}
+    force_n = np.empty_like(taken.load_n)
+    for row, (command, pose) in enumerate(zip(taken.command_rad, poses, strict=True)):
+        frame_pose = machine.frame_pose(command, pose)
+        key = frame_pose.tobytes()
+        if key not in axes:
+            axes[key] = machine.links_at(frame_pose).axes
+        link = max(int(taken.load_segment[row]), 1) - 1
+        force_n[row] = taken.load_n[row] @ axes[key][link]
+    return force_n
+
+
+class RecordedMachine:
+    """The machine of a recording as its law knows it, tare by tare."""
 
     def __init__(
         self,
         recording: Recording,
         tares: Tares,
-        law: ArmLaw,
+        law: KnownLaw,
         calibration: Calibration | None = None,
         trials: Collection[int] | None = None,
     ) -> None:
@@ -331,35 +370,38 @@ class RecordedArm:
         self._recording = recording
         self._tares = tares
         self._law = law
-        self._calibrator = Calibrator(FeltArm(law.arm), law)
-        self._slides = CableSlides(law.arm)
+        self._machine = felt_of(law)
+        self._calibrator = Calibrator(self._machine, law)
+        self._slides = self._machine.slides
         self._calibration = calibration
         self._by_poses: Calibration | None = None
         if calibration is None:
             poses = unloaded_poses(recording, trials)
             self._by_poses = self._calibrator.moved(self._calibrator.from_poses(poses))
-        self._still = np.zeros((law.arm.joint_count, law.arm.joint_count))
+        self._still = still(self._machine)
 
-    def answers(self, rows: Rows) -> tuple[ContactAnswer, Rows]:
-        """Answers on rows (R,) with a tare, and which of them are contacts that are vouched for.
+    def answers(self, rows: Rows) -> tuple[ContactAnswer, Rows, Array]:
+        """Answers on rows (R,) with a tare, which of them are vouched for, and poses (B, T).
 
         As the node publishes them: a contact also where it is not confirmed, and none where
         readings fit no contact. Where the readings determine the moment alone, the force is the
         one at the place of the load.
         """
         recording = self._recording
-        judge = Judge(FeltArm(self._law.arm))
-        at_m = loads_at_m(recording, self._law.arm)
+        judge = Judge(self._machine)
+        at_m = _places_m(recording, self._machine)
         position = np.cumsum(rows) - 1
         count = int(rows.sum())
         segment = np.zeros(count, dtype=np.int64)
         confirmed = np.zeros(count, dtype=bool)
         forces = np.zeros((count, 4))
+        poses = np.zeros((count, len(self._machine.torque_names)))
         for chosen, seen in self._seen(rows):
             for k, row in enumerate(chosen):
                 row_seen = seen.row(k)
                 judgement = judge(row_seen, recording.tensions_n[row])
                 answer_row = position[row]
+                poses[answer_row] = row_seen.pose_rad[0]
                 if judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE):
                     segment[answer_row] = judgement.segment
                 confirmed[answer_row] = judgement.state in (
@@ -371,7 +413,7 @@ class RecordedArm:
                 forces[answer_row] = (
                     _force_at(row_seen, at_m[row]) if by_moment else _force(row_seen)
                 )
-        return ContactAnswer(segment, *forces.T), confirmed
+        return ContactAnswer(segment, *forces.T), confirmed, poses
 
     def unexplained_n2(self, rows: Rows) -> float:
         """By how much the square of a residual exceeds what the law expects, N², mean over rows.
@@ -379,18 +421,16 @@ class RecordedArm:
         The residual is that of readings under their known loads.
         """
         recording = self._recording
-        mechanism = mechanism_of(self._law.arm)
         loaded = recording.load_segment > 0
         segment = np.maximum(recording.load_segment, 1) - 1
-        at_m = loads_at_m(recording, self._law.arm)
+        at_m = _places_m(recording, self._machine)
         beyond_noise_n2 = 0.0
         channels = 0
         for chosen, seen in self._seen(rows):
             chosen_segment = segment[chosen]
             row_index = np.arange(len(chosen))
-            axes = kinematics.segment_rotations(mechanism, recording.command_rad[chosen])
-            load_n = recording.load_n[chosen] * loaded[chosen, None]
-            force_n = np.einsum("bij,bi->bj", axes[row_index, chosen_segment], load_n)
+            force_n = _in_link_axes(recording.rows(chosen), self._machine, seen.pose_rad)
+            force_n *= loaded[chosen, None]
             lever = seen.at_joint_m[row_index, chosen_segment]
             lever = lever + at_m[chosen, None, None] * seen.by_place[row_index, chosen_segment]
             torque_n_m = np.einsum("bi,bij->bj", force_n, lever)
@@ -414,7 +454,7 @@ class RecordedArm:
             readings_n = recording.tensions_n[since]
             slides = self._slid(readings_n, tare, known)
             judged = np.flatnonzero(rows[since])
-            for rounded, positions in self._slides.alike([slides[k] for k in judged]):
+            for rounded, positions in alike(self._slides, [slides[k] for k in judged]):
                 chosen = since[judged[positions]]
                 belief = self._slides.carried(known, rounded)
                 yield (

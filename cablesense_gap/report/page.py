@@ -354,7 +354,7 @@ def _residual_panel(panel: Any, found: Diagnosis, cable: int) -> None:
 
 
 def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
-    """Estimated against true force of each model, side by side: a colour for each segment."""
+    """Estimated against true force of each model, side by side: a colour for each link."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(
@@ -369,15 +369,15 @@ def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
         for segment in np.unique(model_errors.truth.segment):
             rows = model_errors.truth.segment == segment
             colour = f"C{segment}" if segment else "0.4"
-            label = f"segment {segment}" if segment else "no load"
+            label = model_errors.links[segment - 1] if segment else "no load"
             forces = model_errors.truth.force_n, model_errors.answer.force_n
             place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
             place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
         accuracy = model_errors.whole.contact_accuracy
         off_n = model_errors.whole.errors.magnitude_mae_n
         place.set(
-            title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
-            xlabel="true force, N (crosses: another segment, or none)",
+            title=f"{name}\nright link {accuracy:.1%}, force off by {off_n:.2g} N",
+            xlabel="true force, N (crosses: another link, or none)",
             ylabel="estimated force, N",
         )
         place.legend()

@@ -85,7 +85,7 @@ def calibrate(
 
     from cablesense_contact.calibration import Calibrator
     from cablesense_contact.calibration_file import write_calibration
-    from cablesense_contact.unloaded_holds import unloaded_holds
+    from cablesense_contact.unloaded_holds import unloaded_holds, with_held_positions
     from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
 
@@ -94,8 +94,9 @@ def calibrate(
     felt = machine.felt
     named = None if columns is None else read_column_map(columns, machine.described)
     recorded = read_recording(recording, machine.described, topic or (), named)
-    ended_ns = _ended_ns(recording, ended)
-    unloaded = unloaded_holds(recorded, ended_ns, measured=felt.reads_joints)
+    if felt.reads_joints:
+        recorded = with_held_positions(recorded)
+    unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
     calibration = Calibrator(felt, machine.law).from_poses(unloaded)
     poses = len({reading.command_rad.tobytes() for reading in unloaded})
     many = "1 pose" if poses == 1 else f"{poses} poses"
@@ -143,7 +144,7 @@ def opened(arm: str, model: str = "") -> Opened:
         from cablesense_online.machine_models import load_machine
 
         loaded = load_machine(arm, model)
-        return Opened(loaded.machine, loaded.law, loaded.reference_contacts, loaded.source)
+        return Opened(loaded.machine, loaded.law, loaded.reference_contacts, loaded.described)
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)

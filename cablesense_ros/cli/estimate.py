@@ -185,8 +185,7 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
     touched = np.where(segment > 0, segment, np.nan)
     segment_axes.plot(time_s, touched, ".", ms=3.0)
     segment_axes.set(
-        xlabel="time, s (grey: no force is known or vouched for)",
-        ylim=(0.5, len(links) + 0.5),
+        xlabel="time, s (grey: no force is known or vouched for)", ylim=(0.5, len(links) + 0.5)
     )
     segment_axes.set_yticks(range(1, len(links) + 1), links, fontsize=7)
     content = io.BytesIO()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
@@ -30,10 +30,14 @@ from cablesense_ros.cli.summaries import (
     recorded_lines,
     table2_lines,
 )
+from cablesense_sim.machine.description import is_machine_file
 
 if TYPE_CHECKING:
+    from cablesense_contact.felt import FeltMachine
     from cablesense_contact.inference.estimator import Estimator
     from cablesense_contact.inference.law_model import LawModel
+    from cablesense_gap.recorded_contacts import KnownLaw
+    from cablesense_recording.layout import Described
 
 
 def evaluate(
@@ -57,9 +61,17 @@ def evaluate(
         Path | None,
         typer.Option(
             help="Instead: the known loads of this recording (.csv, .mcap, rosbag2 folder), of "
-            "the model's arm."
+            "the model's arm, or of the machine of --arm."
         ),
     ] = None,
+    arm: Annotated[
+        str,
+        typer.Option(
+            help="With --recording: the machine file of a machine that MuJoCo describes, whose "
+            "model lies beside it unless --model names it.",
+            show_default="the model's own arm",
+        ),
+    ] = "",
     calibration: Annotated[
         Path | None,
         typer.Option(
@@ -92,25 +104,32 @@ def evaluate(
 
     Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
     [bold]cablesense evaluate --model my_arm.onnx[/bold],
-    [bold]cablesense evaluate --recording loads.mcap --model my_arm.onnx[/bold]
+    [bold]cablesense evaluate --recording loads.mcap --model my_arm.onnx[/bold],
+    [bold]cablesense evaluate --recording loads.mcap --arm my_finger.yaml[/bold]
     """
     models = model or []
     if recording is None:
-        refuse_given(context, ("picture", "force", "calibration", "topic"), "without --recording")
+        of_recordings = ("picture", "force", "calibration", "topic", "arm")
+        refuse_given(context, of_recordings, "without --recording")
         if len(models) > 1:
             raise OptionError("several --model go with --recording alone; give one")
     if recording is not None:
         drawn = ("samples", "seed", "workers", "table2")
         refuse_given(context, drawn, "with --recording, which draws no samples")
-        if not models:
+        if arm and not is_machine_file(arm):
+            raise OptionError(
+                f"--arm {arm}: no machine file; a model knows its own arm, so give --model"
+            )
+        if not models and not arm:
             raise OptionError("--recording needs --model, the model that is to be judged on it")
         if picture is None:
             refuse_given(context, ["force"], "without --picture")
         else:
             output_file(picture, force=force, inputs=(recording, *models))
-        title, content, notes = _recorded(recording, models, calibration, picture, topic or ())
+        judged = [_judged(name, arm) for name in models or [""]]
+        title, content, notes = _recorded(recording, judged, calibration, picture, topic or ())
         print_notes(notes, json_output)
-        lines = recorded_lines(content)
+        lines = recorded_lines(content, judged[0].machine.link_names)
     elif table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
@@ -157,30 +176,61 @@ def _table2(model: str) -> Result:
     return title, {"model": opened.metadata.network, "rows": content}
 
 
+class Judged(NamedTuple):
+    """A model that is to be judged on a recording.
+
+    Attributes:
+        name: of the model, as given.
+        estimator: opened.
+        machine: that it is for.
+        described: what recordings of that are read by.
+    """
+
+    name: str
+    estimator: KnownLaw | Estimator
+    machine: FeltMachine
+    described: Described
+
+
+def _judged(model: str, arm: str) -> Judged:
+    """A model by its name or path, of an arm or of the machine of a file."""
+    if arm:
+        from cablesense_online.machine_models import load_machine
+
+        loaded = load_machine(arm, model)
+        return Judged(loaded.path, loaded.law, loaded.machine, loaded.described)
+    from cablesense_contact.inference.metadata import find_model
+    from cablesense_gap.recorded_contacts import open_estimator
+
+    estimator = open_estimator(find_model(model))
+    own_arm = estimator.metadata.arm
+    return Judged(model, estimator, FeltArm(own_arm), own_arm)
+
+
 def _recorded(
     recording: Path,
-    models: list[str],
+    judged: Sequence[Judged],
     calibration: Path | None,
     picture: Path | None,
     topics: Sequence[str],
 ) -> tuple[str, dict[str, Any], tuple[str, ...]]:
     """Title and figures, and what was read of the recording, as sentences."""
     from cablesense_contact.calibration_file import read_calibration
-    from cablesense_contact.inference.metadata import find_model
-    from cablesense_gap.recorded_contacts import open_estimator, recorded_errors
+    from cablesense_contact.unloaded_holds import with_held_positions
+    from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
     from cablesense_recording.checks import read_recording
 
     errors = {}
     notes: tuple[str, ...] = ()
-    for name in models:
-        estimator = open_estimator(find_model(name))
-        arm = estimator.metadata.arm
-        known = None if calibration is None else read_calibration(calibration, FeltArm(arm))
-        recorded = read_recording(recording, arm, topics)
+    for one in judged:
+        known = None if calibration is None else read_calibration(calibration, one.machine)
+        recorded = read_recording(recording, one.described, topics)
         notes = recorded.notes
-        errors[name] = recorded_errors(recorded, estimator, calibration=known)
+        if one.machine.reads_joints:
+            recorded = with_held_positions(recorded)
+        errors[one.name] = recorded_errors(recorded, one.estimator, calibration=known)
     if picture is not None:
         with style():
             image = image_bytes(drawn_errors(errors), "png")

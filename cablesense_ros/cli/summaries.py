@@ -76,15 +76,14 @@ def table2_lines(content: Values) -> list[str]:
     return _columns(rows)
 
 
-def recorded_lines(content: Values) -> list[str]:
-    """The errors of each model on known loads, by segment and in all."""
+def recorded_lines(content: Values, links: Sequence[str]) -> list[str]:
+    """The errors of each model on known loads, by link of these names and in all."""
     lines = []
     for model, errors in content.items():
-        rows: list[Row] = [
-            (str(model)[-36:], "loads", "segment right", "direction off", "force off")
-        ]
+        rows: list[Row] = [(str(model)[-36:], "loads", "link right", "direction off", "force off")]
         for segment, each in errors["by_segment"].items():
-            rows.append((f"  segment {segment}", *_load_errors(each)))
+            link = links[int(segment) - 1].replace("_", " ")
+            rows.append((f"  {link}", *_load_errors(each)))
         rows.append(("  all", *_load_errors(errors["all"])))
         lines += _columns(rows)
         within = percent(errors["all"]["errors"]["magnitude_coverage95"])

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.felt import alike
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law
@@ -252,7 +253,7 @@ class KnownArm:
             ]
         parts = []
         order = []
-        for rounded, rows in self._slides.alike(slides):
+        for rounded, rows in alike(self._slides, slides):
             known = self._slides.carried(self._known, rounded)
             for first in range(0, len(rows), _ROWS_AT_ONCE):
                 chosen = rows[first : first + _ROWS_AT_ONCE]

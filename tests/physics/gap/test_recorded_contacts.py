@@ -13,7 +13,7 @@ from cablesense_contact.calibration import Calibrator
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimates, Estimator
 from cablesense_gap.recorded_contacts import (
-    RecordedArm,
+    RecordedMachine,
     recorded_errors,
     tares_n,
     tares_of,
@@ -85,8 +85,8 @@ def test_what_a_law_does_not_know_is_measured_under_known_loads(law: TorchLaw) -
     noise_n = np.random.default_rng(2).normal(0.0, 0.3, made.tensions_n.shape)
     noisy = replace(made, tensions_n=made.tensions_n + loaded[:, None] * noise_n)
     tares = tares_of(made)
-    assert RecordedArm(made, tares, law, by_tolerances).unexplained_n2(loaded) < 0.01
-    unexplained_n2 = RecordedArm(noisy, tares, law, by_tolerances).unexplained_n2(loaded)
+    assert RecordedMachine(made, tares, law, by_tolerances).unexplained_n2(loaded) < 0.01
+    unexplained_n2 = RecordedMachine(noisy, tares, law, by_tolerances).unexplained_n2(loaded)
     assert_allclose(unexplained_n2, 0.3**2, rtol=0.15)
 
 
