@@ -23,18 +23,13 @@ from cablesense_sim.machine.machine import Machine, open_machine
 
 
 class LoadedMachine(Loaded):
-    """The model of a machine.
-
-    Attributes:
-        source: the machine.
-    """
+    """The model of a machine."""
 
     def __init__(self, machine: Machine, law: MachineLaw, path: str) -> None:
         largest_n = machine.source.file.touch.largest_n
         self._felt = FeltModel(machine)
         summary = ModelSummary("anywhere", largest_n, np.inf)
         super().__init__(self._felt, machine, path, summary)
-        self.source = machine
         self._law = law
 
     @property
