@@ -9,6 +9,7 @@ is read in other poses, the same for both: untouched, and touched anywhere.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any, NamedTuple
 
 import harness
@@ -55,6 +56,8 @@ class Tally:
     def __init__(self) -> None:
         self.readings = 0
         self.false_contacts: list[int] = []
+        self.false_on: Counter[str] = Counter()
+        self.false_n: list[float] = []
         self.refused = 0
         self.right: list[bool] = []
         self.half_width: list[float] = []
@@ -77,7 +80,12 @@ class Tally:
             ]
             free = len(case.untouched)
             self.readings += free
-            false += sum(state in STATED for state in states[:free])
+            for row in range(free):
+                if states[row] in STATED:
+                    false += 1
+                    link = bench.machine.links.names[int(seen.contact_evidence[row].argmax())]
+                    self.false_on[f"{states[row].value} on {link}"] += 1
+                    self.false_n.append(float(np.hypot(*seen.force_n[row, 1:])))
             for number, contact in enumerate(case.contacts):
                 row = free + number
                 self._take(contact, seen.row(row), states[row])
@@ -106,6 +114,8 @@ class Tally:
             "untouched readings": self.readings,
             "false contacts": sum(self.false_contacts),
             "machines with false contacts": int(np.count_nonzero(self.false_contacts)),
+            "false contacts are": dict(self.false_on.most_common()),
+            "their forces, N": harness.percentiles(self.false_n, ["median", "worst"]),
             "contacts": len(self.right),
             "answered": _share(self.answered),
             "link right": _share(self.right),

@@ -198,7 +198,10 @@ class CommissionerNode(Node):
         return (len(heard_s) - 1) / (heard_s[-1] - heard_s[0])
 
     def _on_tensions(self, raw: bytes) -> None:
-        self._heard_s.append(time.monotonic())
+        now_s = time.monotonic()
+        if self._heard_s and now_s - self._heard_s[-1] > self._given["stale_after_s"]:
+            self._heard_s.clear()  # a pause is no part of the rate
+        self._heard_s.append(now_s)
         running = self._running
         if running is None:
             return
