@@ -1,6 +1,6 @@
 """Example machines after one tare, and after a calibration from unloaded poses, side by side.
 
-    python benchmarks/calibrated_machines.py [--built 50] [--poses 25] [--seed 8301] [--write]
+    python benchmarks/calibrated_machines.py [--built 25] [--poses 25] [--seed 8301] [--write]
 
 Each machine differs from its file as its tolerances allow. It is known by one tare in its
 reference pose, or by a calibration from random unloaded poses within 10 degrees of that. Then it
@@ -25,7 +25,7 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 
 COMMANDS = 4
 """Of each machine, in which it is judged."""
-UNTOUCHED = 50
+UNTOUCHED = 100
 """Readings at each, and"""
 TOUCHED = 2
 """contacts."""
@@ -193,7 +193,7 @@ def figures_of(name: str, built_count: int, poses: int, seed: int) -> dict[str, 
 def main() -> None:
     """Judges, prints; keeps figures with `--write`."""
     options = harness.parser(__doc__, "calibrated_machines.json")
-    options.add_argument("--built", type=int, default=50, help="machines of each kind")
+    options.add_argument("--built", type=int, default=25, help="machines of each kind")
     options.add_argument("--poses", type=int, default=25, help="unloaded ones of a calibration")
     options.add_argument(
         "--machines", nargs="*", default=["finger", "seven_hinges", "six_axis"], help="which"
