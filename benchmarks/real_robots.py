@@ -27,6 +27,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ _JAW_COLUMNS = {
     "torque.drive": ("drive_torque_nm", -1.0),  # in the direction of its motion
     "torque.jaw": ("jaw_torque_nm", 1.0),
 }
-_DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
+DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}
 _PENDULUM_COLUMNS = {
     f"{what}_{joint}_{unit}": f"{what}.joint_{joint}"
     for what, unit in (("position", "rad"), ("torque", "nm"))
@@ -67,16 +68,16 @@ def main() -> None:
     parser.add_argument("what", choices=("jaw", "pendulums"), help="of whom the recordings are")
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
     options = parser.parse_args()
-    index = pd.read_csv(options.data / "index.csv")
     if options.what == "jaw":
-        harness.publish("robot_jaw.json", _jaws(options.data, index), options, "mujoco")
+        harness.publish("robot_jaw.json", _jaws(options.data), options, "mujoco")
     else:
-        designs = {each: _pendulum(each, options.data, index) for each in _DESIGNS}
+        designs = {design: _pendulum(design, options.data) for design in DESIGNS}
         harness.publish("real_double_pendulum.json", {"designs": designs}, options, "mujoco")
 
 
-def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
+def _jaws(data: Path) -> dict[str, Any]:
     """The tool with the most levels: its 1st, 3rd … are diagnosed, the others are judged."""
+    index = pd.read_csv(data / "index.csv")
     tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
     recordings = index[index["folder"] == tool]
     fitted_levels = sorted(recordings["brake_percent"].unique())[::2]
@@ -107,26 +108,34 @@ def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
     return figures
 
 
-def _pendulum(design: str, data: Path, index: pd.DataFrame) -> dict[str, Any]:
-    """Every other run of a design is diagnosed, those between are judged."""
-    robot = load_robot(MODELS / f"double_pendulum_{_DESIGNS[design]}.xml")
+def pendulum_runs(design: str, data: Path) -> tuple[Robot, RobotRecording, RobotRecording]:
+    """A design's published model, every other of its runs, and those between."""
+    index = pd.read_csv(data / "index.csv")
+    robot = load_robot(MODELS / f"double_pendulum_{DESIGNS[design]}.xml")
     runs = [
         pd.read_csv(data / f"{run}.csv.gz", usecols=["time_s", *_PENDULUM_COLUMNS])
         for run in index[index.design == design].recording
     ]
     tables = [run.rename(columns=_PENDULUM_COLUMNS) for run in runs]
-    diagnosis = diagnose(_recording(tables[::2], robot), robot, zeroed=True)
+    return robot, _recording(tables[::2], robot), _recording(tables[1::2], robot)
+
+
+def _pendulum(design: str, data: Path) -> dict[str, Any]:
+    """Every other run of a design is diagnosed, those between are judged."""
+    robot, diagnosed, judged = pendulum_runs(design, data)
+    diagnosis = diagnose(diagnosed, robot, zeroed=True)
     compared_hz = diagnosis.system.motion.compared_hz
-    motion = prepared(_recording(tables[1::2], robot), robot, compared_hz, zeroed=True)
+    motion = prepared(judged, robot, compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)
+    errors = partial(torque_errors, robot)
     return {
         **_stated(diagnosis.verdict),
         "compared up to, Hz": round(compared_hz, 2),
         "torque error on judged runs, N·m": {
-            "published model, zeros as they are read": _errors(robot, as_read, {}),
-            "amended model, zeros as they are read": _errors(robot, as_read, diagnosis.amended),
-            "published model": _errors(robot, motion, {}),
-            "amended model": _errors(robot, motion, diagnosis.amended),
+            "published model, zeros as they are read": errors(as_read, {}),
+            "amended model, zeros as they are read": errors(as_read, diagnosis.amended),
+            "published model": errors(motion, {}),
+            "amended model": errors(motion, diagnosis.amended),
         },
     }
 
@@ -150,7 +159,7 @@ def _stated(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _errors(robot: Robot, motion: Motion, effects: Assignment) -> list[float]:
+def torque_errors(robot: Robot, motion: Motion, effects: Assignment) -> list[float]:
     """Root mean square of a model's torque error, joint by joint, and of both together."""
     gaps = np.array([gap for *_, gap, _ in RobotSystem(robot, motion, effects).gaps()])
     square = gaps**2 / motion.counts.mean(0)  # rows at rest are compared as zeros

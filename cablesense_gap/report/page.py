@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cablesense_base import CableSenseError
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report import text
+from cablesense_gap.report.film import SHOWN_S, robot_film
 from cablesense_gap.report.next_step import Given, next_step, robot_next_step
 from cablesense_gap.report.style import (
     AFTER,
@@ -138,6 +140,12 @@ def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -
     verdict = found.verdict
     with style():
         overlay = _robot_overlay(found)
+    film = None
+    no_film = ""
+    try:
+        film = robot_film(found)
+    except CableSenseError as error:  # a report without it is whole
+        no_film = str(error)
     content = {
         **text.common_content(verdict),
         "trials": int(found.system.trial.max()) + 1,
@@ -148,7 +156,11 @@ def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -
         "findings": found.findings,
         "forward": found.system.motion.forward,
         "external": found.system.motion.external,
+        "by_command": found.system.motion.by_command,
         "overlay": overlay,
+        "film": film,
+        "no_film": no_film,
+        "slower": round(SHOWN_S / film.clip.span_s) if film else 0,
         "parameters": [
             (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
             for name, estimate in verdict.parameters.items()

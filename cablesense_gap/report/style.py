@@ -101,8 +101,8 @@ def image_bytes(figure: Any, kind: str, dpi: int = PNG_DPI) -> bytes:
 
 
 def image_uri(image: bytes, kind: str) -> str:
-    """A file of an image, `svg` or `png`, as the `src` of an image."""
-    mime = "image/svg+xml" if kind == "svg" else "image/png"
+    """A file of an image, `svg`, `png` or `webp`, as the `src` of an image."""
+    mime = "image/svg+xml" if kind == "svg" else f"image/{kind}"
     return f"data:{mime};base64,{base64.b64encode(image).decode()}"
 
 

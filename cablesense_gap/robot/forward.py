@@ -52,21 +52,80 @@ class ForwardComparison(MotionComparison):
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """Take a robot and its motion as it was measured."""
         self._robot = robot
+        span = _span(motion)
+        begins, self.trial = _windows(motion, span, _substeps(robot, motion))
+        self._rollouts = Rollouts(robot, motion, begins, span)
+        self.span_s = span / motion.rate_hz
+        self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
+        kinds = ("position", "velocity")
+        self.names = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
+        self.columns = self.names
+        self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
+        self.readings = self._beyond_coasting(*self._rollouts.measured(begins + span))
+        noise, least = _noise_and_least(motion, self.span_s)
+        self.floor = np.maximum(noise, np.fmin(least, self._by_torque(motion)))
+        self.noise = self.floor
+        driven = "recorded commands" if motion.by_command else "measured torques"
+        self.description = (
+            f"Compared forward in time: from measured states, smoothed to "
+            f"{motion.smoothed_hz:.3g} Hz, with {driven} over {len(begins):,} windows of "
+            f"{1e3 * self.span_s:.3g} ms, positions and speeds out."
+        )
+
+    def predicted(self, change: Change) -> Array:
+        """Positions and speeds (Q, C) at the ends of the windows, by a variant of the robot."""
+        position, speed = self._rollouts.predicted(change)
+        return self._beyond_coasting(position[:, -1], speed[:, -1])
+
+    def conditions(self, change: Change) -> Conditions:
+        """Position, speed and load (Q, C) of each channel in the middle of each window."""
+        path = self._rollouts.path
+        middle = path[0].shape[1] // 2
+        position, speed, acceleration = (np.tile(each[:, middle], 2) for each in path)
+        return Conditions(position, speed, self.predicted(change), acceleration)
+
+    def _by_torque(self, motion: Motion) -> Array:
+        """(C,) what the least error of torques makes, where servos or springs hold against it."""
+        robot = self._robot
+        nominal = self.predicted(robot.nominal())
+        square = np.zeros(len(self.names))
+        for joint, torque in enumerate(LEAST_FLOOR * motion.scale.torque):
+            change = robot.nominal()
+            change.torque_offset[joint] = torque
+            square += ((self.predicted(change) - nominal) ** 2).mean(0)
+        return np.asarray(np.sqrt(square))
+
+    def _beyond_coasting(self, position: Array, speed: Array) -> Array:
+        """(Q, C) changes in a window, minus those at the constant speed of its beginning."""
+        start, at_speed = self._rollouts.state
+        return np.hstack([position - start - self.span_s * at_speed, speed - at_speed])
+
+
+class Rollouts:
+    """Motion of variants of a robot, from measured states on, over windows of equal length.
+
+    Attributes:
+        state: measured positions and speeds (Q, J) where the windows begin.
+        path: measured positions, speeds and accelerations (Q, S, J) inside each of their S steps.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion, begins: NDArray[np.int64], span: int) -> None:
+        """Windows of `span` samples begin at rows (Q,) among those of all trials of a motion."""
+        self._robot = robot
         self._smoothed_hz = motion.smoothed_hz
         rate_hz = motion.rate_hz
-        span = _span(motion)
-        self._substeps = int(np.ceil(1.0 / (rate_hz * robot.model.opt.timestep) - 1e-6))
+        self._substeps = _substeps(robot, motion)
         self._step_s = 1.0 / (rate_hz * self._substeps)
         self._rate_hz = rate_hz
-        self.span_s = span / rate_hz
-        begins, self._ends, self.trial = _windows(motion, span, self._substeps)
+        self._ends = _ends_of_trials(motion, begins)
         moved = [derivatives(path, rate_hz) for path in motion.paths]
         speed, acceleration = (np.concatenate(each) for each in zip(*moved, strict=True))
         position = np.concatenate(motion.paths)
-        self._state = position[begins], speed[begins]
+        self._measured = position, speed
+        self.state = self.measured(begins)
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
-        self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
+        self.path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
         self._gaps = BacklashMotion(robot, motion)
         self._tendons = GuidedTendons(robot, motion)
         self._motion = motion
@@ -76,28 +135,18 @@ class ForwardComparison(MotionComparison):
         if motion.by_command:
             commands = [self._smoothed(each.command) for each in motion.trials]
             self._command = np.concatenate(commands)
-        self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
-        kinds = ("position", "velocity")
-        self.names = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
-        self.columns = self.names
-        self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
-        self.readings = self._beyond_coasting(position[begins + span], speed[begins + span])
-        noise, least = _noise_and_least(motion, self.span_s)
-        self.floor = np.maximum(noise, np.fmin(least, self._by_torque(motion)))
-        self.noise = self.floor
-        driven = "measured torques" if self._command is None else "recorded commands"
-        self.description = (
-            f"Compared forward in time: from measured states, smoothed to "
-            f"{motion.smoothed_hz:.3g} Hz, with {driven} over {len(begins):,} windows of "
-            f"{1e3 * self.span_s:.3g} ms, positions and speeds out."
-        )
+
+    def measured(self, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Smoothed positions and speeds (…, J) at rows (…) among those of all trials."""
+        position, speed = self._measured
+        return position[rows], speed[rows]
 
     def _smoothed(self, drive: Array) -> Array:
         """As the motion is: what drives make beyond that shows in none of its states."""
         return smoothed(drive, self._rate_hz, self._smoothed_hz)
 
-    def predicted(self, change: Change) -> Array:
-        """Positions and speeds (Q, C) at the ends of the windows, by a variant of the robot."""
+    def predicted(self, change: Change) -> tuple[Array, Array]:
+        """Positions and speeds (Q, S, J) of a variant after each step, as encoders read them."""
         robot = self._robot
         moved = np.eye(len(robot.joints)) + change.coupling
         back = np.linalg.inv(moved)
@@ -117,7 +166,7 @@ class ForwardComparison(MotionComparison):
         if change.capstan_friction.any():
             applied = applied - self._lost(change)
         if change.coupling.any():  # rotors and dampers are the drives'
-            _, speed, acceleration = self._path
+            _, speed, acceleration = self.path
             at_drive = change.armature * acceleration + change.damping * speed
             speed = speed @ moved.T
             acceleration = acceleration @ moved.T
@@ -127,29 +176,12 @@ class ForwardComparison(MotionComparison):
             command = _at(self._command, sample_rows)
             by_model = torque
             if change.key(*_OF_READING) != robot.nominal().key(*_OF_READING):
-                by_model = self._actuated(joints(*self._path[:2]), command)
+                by_model = self._actuated(joints(*self.path[:2]), command)
             applied = applied - by_model
         model = robot.varied(change)
-        ends = self._ended(model, joints(*self._state), command, applied, change, load)
-        position, speed = (each @ back.T for each in ends)
-        return self._beyond_coasting(position * true + change.zero, speed * true)
-
-    def conditions(self, change: Change) -> Conditions:
-        """Position, speed and load (Q, C) of each channel in the middle of each window."""
-        middle = self._path[0].shape[1] // 2
-        position, speed, acceleration = (np.tile(each[:, middle], 2) for each in self._path)
-        return Conditions(position, speed, self.predicted(change), acceleration)
-
-    def _by_torque(self, motion: Motion) -> Array:
-        """(C,) what the least error of torques makes, where servos or springs hold against it."""
-        robot = self._robot
-        nominal = self.predicted(robot.nominal())
-        square = np.zeros(len(self.names))
-        for joint, torque in enumerate(LEAST_FLOOR * motion.scale.torque):
-            change = robot.nominal()
-            change.torque_offset[joint] = torque
-            square += ((self.predicted(change) - nominal) ** 2).mean(0)
-        return np.asarray(np.sqrt(square))
+        at_joints = self._stepped(model, joints(*self.state), command, applied, change, load)
+        position, speed = (each @ back.T for each in at_joints)
+        return position * true + change.zero, speed * true
 
     def _of_play(self, change: Change) -> Array:
         """(Q, S, J) torques that links need in addition, because backlash changes their motion."""
@@ -160,11 +192,11 @@ class ForwardComparison(MotionComparison):
         needed = [
             inverse_dynamics(model, *(each.reshape(-1, model.nv) for each in moved))
             for moved in (
-                self._path,
-                [each + gap for each, gap in zip(self._path, behind, strict=True)],
+                self.path,
+                [each + gap for each, gap in zip(self.path, behind, strict=True)],
             )
         ]
-        return np.asarray((needed[1] - needed[0]).reshape(self._path[0].shape))
+        return np.asarray((needed[1] - needed[0]).reshape(self.path[0].shape))
 
     def _lost(self, change: Change) -> Array:
         """(Q, S, J) what guides take of the tendons' torques, along the measured motion."""
@@ -177,7 +209,7 @@ class ForwardComparison(MotionComparison):
         flat = (each.reshape(-1, each.shape[-1]) for each in (*moved, command))
         return actuated(self._robot, *flat).reshape(moved[0].shape)
 
-    def _ended(
+    def _stepped(
         self,
         model: mujoco.MjModel,
         begin: tuple[Array, Array],
@@ -186,7 +218,7 @@ class ForwardComparison(MotionComparison):
         change: Change,
         load: Array,
     ) -> tuple[Array, Array]:
-        """Positions and speeds (Q, J) at the ends."""
+        """Positions and speeds (Q, S, J) of the joints after each step."""
         model.opt.timestep = self._step_s
         if command is None:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
@@ -206,50 +238,52 @@ class ForwardComparison(MotionComparison):
                 window_model.dof_frictionloss[:] += torque
         control = np.concatenate([command, applied], 2)
         rolled_out, _ = rollout(models, data, states, control, control_spec=_CONTROL)
-        last = rolled_out[:, -1, 1 : 1 + 2 * joints]
-        position = last[:, :joints]
-        speed = last[:, joints:]
+        position = rolled_out[..., 1 : 1 + joints]
+        speed = rolled_out[..., 1 + joints : 1 + 2 * joints]
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
             # a step goes on with its last speed, which over a window is half a step too far
-            position = position - 0.5 * self._step_s * (speed - begin[1])
+            position = position - 0.5 * self._step_s * (speed - begin[1][:, None])
         return position, speed
 
-    def _beyond_coasting(self, position: Array, speed: Array) -> Array:
-        """(Q, C) changes in a window, minus those at the constant speed of its beginning."""
-        start, at_speed = self._state
-        return np.hstack([position - start - self.span_s * at_speed, speed - at_speed])
+
+def _substeps(robot: Robot, motion: Motion) -> int:
+    """Steps of the model, at its own step or somewhat less, from one sample to the next."""
+    return int(np.ceil(1.0 / (motion.rate_hz * robot.model.opt.timestep) - 1e-6))
 
 
 def _windows(
     motion: Motion, span: int, substeps: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (Q,) among those of all trials, the trials' ends (Q, 2), and their numbers.
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First rows (Q,) among those of all trials, and numbers (Q,) of the trials without gaps.
 
     Raises:
         RecordingError: there are too few.
     """
     begins = []
-    ends = []
     numbers = []
     first = 0
     for number, path in enumerate(motion.paths):
         inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)
         trial_begins = first + np.arange(inner.start, inner.stop - span, span)
         begins.append(trial_begins)
-        ends.append(np.tile([first, first + len(path) - 1], (len(trial_begins), 1)))
         numbers.append(np.full(len(trial_begins), number))
         first += len(path)
     count = sum(len(rows) for rows in begins)
     stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
-    begin, end, trial = (
-        np.concatenate(each)[:: max(stride, 1)] for each in (begins, ends, numbers)
-    )
+    begin, trial = (np.concatenate(each)[:: max(stride, 1)] for each in (begins, numbers))
     if len(begin) < _FEWEST:
         raise RecordingError(
             f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
             f"trials of several seconds, for {_FEWEST} at least"
         )
-    return begin, end, np.unique(trial, return_inverse=True)[1]
+    return begin, np.unique(trial, return_inverse=True)[1]
+
+
+def _ends_of_trials(motion: Motion, begins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """First and last rows (Q, 2) of the trials of windows, among those of all trials."""
+    edges = np.cumsum([0, *map(len, motion.paths)])
+    trial = np.searchsorted(edges, begins, side="right") - 1
+    return np.column_stack([edges[trial], edges[trial + 1] - 1])
 
 
 def _span(motion: Motion) -> int:
