@@ -113,7 +113,7 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 
 $(VENV)/.all: $(VENV)/.demo
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo,train,gap,dev,docs]'
+	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[demo,train,gap,dev,docs,benchmarks]'
 	@touch $@
 
 $(BIN)/python:

@@ -61,6 +61,7 @@ EXTRAS = {
         "matplotlib",  # the report's pictures
         "mcap",  # reads recordings record by record, also one that breaks off
         "pandas",  # recordings and tables of residuals
+        "pillow",  # the report's film
         "rosbags",  # message types, folders of rosbag2 and its writer, without a ROS installation
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
@@ -72,6 +73,11 @@ EXTRAS = {
         "pyarrow>=14.0.1",  # datasets are Parquet; older releases run code that a file brings
         "scikit-learn",  # the gradient-boosting baseline
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
+    ],
+    "benchmarks": [
+        "absl-py",  # logs of mujoco.sysid, beside which a benchmark puts the diagnosis
+        "colorama",  # colours of the same
+        "tabulate",  # tables of the same
     ],
     "docs": [
         "mkdocs",  # the documentation as a site

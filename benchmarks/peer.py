@@ -96,7 +96,8 @@ def _planted(case: RobotCase, folder: Path) -> dict[str, Any]:
     robot = load_robot(case.kind.path)
     seen = read_recording(folder / name, robot)
     unseen = read_recording(folder / "second" / name, robot)
-    diagnosis, models, took = _fitted_by_both(seen, robot, folder)
+    model_file = folder / f"{case.answer.recording}_sysid.xml"
+    diagnosis, models, took = _fitted_by_both(seen, robot, model_file)
     compared_hz = diagnosis.system.motion.compared_hz
     motions = [prepared(unseen, robot, compared_hz, forward=forward) for forward in (False, True)]
     return {
@@ -116,7 +117,8 @@ def _planted(case: RobotCase, folder: Path) -> dict[str, Any]:
 def _pendulum(design: str, data: Path, folder: Path) -> dict[str, Any]:
     """Both on every other run of a design, judged on the runs between, in N·m."""
     robot, seen, unseen = pendulum_runs(design, data)
-    diagnosis, models, took = _fitted_by_both(seen, robot, folder, zeroed=True)
+    model_file = folder / f"pendulum_{design}_sysid.xml"
+    diagnosis, models, took = _fitted_by_both(seen, robot, model_file, zeroed=True)
     motion = prepared(unseen, robot, diagnosis.system.motion.compared_hz, zeroed=True)
     return {
         "case": f"double pendulum {design}",
@@ -131,13 +133,13 @@ def _pendulum(design: str, data: Path, folder: Path) -> dict[str, Any]:
 
 
 def _fitted_by_both(
-    recording: RobotRecording, robot: Robot, folder: Path, *, zeroed: bool = False
+    recording: RobotRecording, robot: Robot, model_file: Path, *, zeroed: bool = False
 ) -> tuple[RobotDiagnosis, dict[str, _Model], dict[str, Any]]:
     """The diagnosis, the models by name, and what both took; what the peer's numbers say."""
     began_s = time.process_time()
     diagnosis = diagnose(recording, robot, zeroed=zeroed)
     cpu_s = time.process_time() - began_s
-    fit = peer_fit.fitted(robot, diagnosis.system.motion, folder / "peer.xml")
+    fit = peer_fit.fitted(robot, diagnosis.system.motion, model_file)
     models = {
         "nominal": _Model(robot, {}),
         "diagnosis": _Model(robot, diagnosis.amended),

@@ -101,7 +101,7 @@ EXTRAS = {
     "zstandard": "gap",
     "distributed": "train",
     "onnxscript": "train",
-    "PIL": "train",
+    "PIL": "gap",
     "pyarrow": "train",
     "sklearn": "train",
     "torch": "train",

@@ -15,7 +15,6 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -24,14 +23,13 @@ from numpy.typing import NDArray
 from cablesense_base import Array, CableSenseError
 from cablesense_gap.report import rendering
 from cablesense_gap.report.style import AFTER, BEFORE, image_uri
+from cablesense_gap.robot.amending import changed
+from cablesense_gap.robot.forward import Rollouts
+from cablesense_gap.robot.model import Change, Robot
+from cablesense_gap.robot.motion import Motion, inner_rows
+from cablesense_gap.robot.system import RobotDiagnosis
 
-if TYPE_CHECKING:
-    from cablesense_gap.robot.model import Change, Robot
-    from cablesense_gap.robot.motion import Motion
-    from cablesense_gap.robot.system import RobotDiagnosis
-
-
-SHOWN_S = 4.0
+_SHOWN_S = 4.0
 """How long a film runs, over and over."""
 _CLIP_S = 1.0
 """Of the motion in it, at most: models that are off have left the measured motion by then."""
@@ -85,6 +83,11 @@ class Clip:
     measured: Array
     predictions: tuple[Prediction, ...]
 
+    @property
+    def slower(self) -> float:
+        """By how many times a film of it is slower than the motion was."""
+        return _SHOWN_S / self.span_s
+
 
 @dataclass(frozen=True)
 class Film:
@@ -118,9 +121,6 @@ def chosen_clip(found: RobotDiagnosis) -> Clip:
             nominal model's motion has no end.
         RobotError: the amended model is none.
     """
-    from cablesense_gap.robot.amending import changed
-    from cablesense_gap.robot.forward import Rollouts
-
     robot = found.system.robot
     motion = found.system.motion
     if motion.external:
@@ -148,8 +148,6 @@ def _windows(robot: Robot, motion: Motion) -> tuple[NDArray[np.int64], int]:
     Raises:
         FilmError: no trial is long enough.
     """
-    from cablesense_gap.robot.motion import inner_rows
-
     counts = [len(path) for path in motion.paths]
     span = int(min(_CLIP_S * motion.rate_hz, _SHARE_OF_TRIAL * max(counts)))
     begins = []
@@ -170,8 +168,6 @@ def _clip(
     robot: Robot, motion: Motion, begin: int, span: int, changes: Mapping[str, Change]
 ) -> Clip:
     """The window from one row on, with the motion of each variant by its label."""
-    from cablesense_gap.robot.forward import Rollouts
-
     rollouts = Rollouts(robot, motion, np.array([begin]), span)
     measured, _speed = rollouts.measured(begin + np.arange(span + 1))
     colours = {"nominal model": BEFORE, "amended model": AFTER}
@@ -194,7 +190,7 @@ def _clip(
 
 def _in_frames(position: Array) -> Array:
     """(F, J) of evenly spaced positions (T, J), straight on between them."""
-    frame_rows = np.linspace(0.0, len(position) - 1.0, round(SHOWN_S * rendering.FRAMES_HZ))
+    frame_rows = np.linspace(0.0, len(position) - 1.0, round(_SHOWN_S * rendering.FRAMES_HZ))
     rows = np.arange(len(position))
     return np.column_stack([np.interp(frame_rows, rows, joint) for joint in position.T])
 

@@ -18,7 +18,6 @@ from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report import text
-from cablesense_gap.report.film import SHOWN_S, robot_film
 from cablesense_gap.report.next_step import Given, next_step, robot_next_step
 from cablesense_gap.report.style import (
     AFTER,
@@ -137,6 +136,8 @@ def report_page(
 
 def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -> str:
     """The report on a robot as one self-contained HTML page; `folder` is where it will lie."""
+    from cablesense_gap.report.film import robot_film
+
     verdict = found.verdict
     with style():
         overlay = _robot_overlay(found)
@@ -160,7 +161,6 @@ def robot_page(found: RobotDiagnosis, folder: str, given: Given | None = None) -
         "overlay": overlay,
         "film": film,
         "no_film": no_film,
-        "slower": round(SHOWN_S / film.clip.span_s) if film else 0,
         "parameters": [
             (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
             for name, estimate in verdict.parameters.items()
