@@ -44,8 +44,8 @@ _FOLLOWED = 1.0
 """By how much a model that still follows leaves a joint at the end, by half the joint's span."""
 _DRIVERS = ("egl", "osmesa")
 """Of MuJoCo that need no display, in the order in which they are tried."""
-_RENDERED_S = 30.0
-"""How long a driver may take that hangs; one that works takes some two seconds."""
+_RENDERED_S = 60.0
+"""How long a driver may take that hangs; one that works takes some two seconds of a free core."""
 
 
 class FilmError(CableSenseError):

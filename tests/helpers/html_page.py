@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 class Page(HTMLParser):
     """Text, tags and sources of a page, and whether every tag is closed."""
 
-    VOID = ("meta", "img", "br", "!doctype")
+    VOID = ("meta", "img", "source", "br", "!doctype")
 
     def __init__(self, html):
         super().__init__()
@@ -20,7 +20,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attrs):
         if tag not in self.VOID:
             self.open.append(tag)
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        self.sources += [value for name, value in attrs if name in ("src", "srcset", "href")]
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag

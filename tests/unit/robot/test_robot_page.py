@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from cablesense_gap.report.film import FilmError
 from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
@@ -17,6 +18,16 @@ from tests.helpers.two_link import recorded, write_model
 from tests.helpers.verdict_cases import gap_of, verdict_of
 
 PAGE = CHECKOUT / "docs" / "robot_method.md"
+
+
+@pytest.fixture(autouse=True)
+def _no_film(monkeypatch):
+    """A film takes seconds, and has tests of its own."""
+
+    def refuse(_diagnosis):
+        raise FilmError("none is made here")
+
+    monkeypatch.setattr("cablesense_gap.report.film.robot_film", refuse)
 
 
 def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
