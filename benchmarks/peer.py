@@ -160,12 +160,12 @@ def _fitted_by_both(
 def _floors_left(models: Mapping[str, _Model], motion: Motion) -> dict[str, float]:
     """RMS of measured minus predicted over all channels, in floors of the nominal model."""
     floor = RobotSystem(models["nominal"].robot, motion, {}).scale
-    left = {}
+    floors = {}
     for name, model in models.items():
         system = RobotSystem(model.robot, motion, {})
         residual = (system.readings - system.predict([model.effects])[0]) * system.scale
-        left[name] = round(rms(residual / floor), 2)
-    return left
+        floors[name] = round(rms(residual / floor), 2)
+    return floors
 
 
 def _summary(each_case: list[dict[str, Any]]) -> dict[str, Any]:

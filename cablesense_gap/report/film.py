@@ -42,6 +42,10 @@ _MOST_STEPS = 60_000
 _FEWEST_SAMPLES = 8
 _FOLLOWED = 1.0
 """By how much a model that still follows leaves a joint at the end, by half the joint's span."""
+_LEAST_SPAN = 0.05
+"""Of a joint that hardly moves, by the largest span."""
+_COLOURS = {"nominal model": BEFORE, "amended model": AFTER}
+"""By labels."""
 _DRIVERS = ("egl", "osmesa")
 """Of MuJoCo that need no display, in the order in which they are tried."""
 _RENDERED_S = 60.0
@@ -102,18 +106,18 @@ class Film:
     poster: str
 
 
-def robot_film(found: RobotDiagnosis) -> Film:
+def robot_film(diagnosis: RobotDiagnosis) -> Film:
     """The film of a diagnosis.
 
     Raises:
         FilmError: the motion cannot be predicted, or no driver renders here.
     """
-    clip = chosen_clip(found)
-    animation, poster = rendered_film(found.system.robot.model, clip)
+    clip = chosen_clip(diagnosis)
+    animation, poster = rendered_film(diagnosis.system.robot.model, clip)
     return Film(clip, image_uri(animation, "webp"), image_uri(poster, "webp"))
 
 
-def chosen_clip(found: RobotDiagnosis) -> Clip:
+def chosen_clip(diagnosis: RobotDiagnosis) -> Clip:
     """The clip in which the nominal model leaves the measured motion farthest and follows it yet.
 
     Raises:
@@ -121,24 +125,24 @@ def chosen_clip(found: RobotDiagnosis) -> Clip:
             nominal model's motion has no end.
         RobotError: the amended model is none.
     """
-    robot = found.system.robot
-    motion = found.system.motion
+    robot = diagnosis.system.robot
+    motion = diagnosis.system.motion
     if motion.external:
         raise FilmError("positions measured outside the drives differ by too little to be seen")
-    nominal = changed(robot, [found.system.listed])
+    nominal = changed(robot, [diagnosis.system.listed])
     begins, span = _windows(robot, motion)
     rollouts = Rollouts(robot, motion, begins, span)
     measured, _speed = rollouts.measured(begins + span)
     predicted, _speed = rollouts.predicted(nominal)
-    left = (np.abs(predicted[:, -1] - measured) / motion.scale.position).max(axis=1)
-    if not np.isfinite(left).any():
+    half_span = np.maximum(motion.scale.position, _LEAST_SPAN * motion.scale.position.max())
+    departure = (np.abs(predicted[:, -1] - measured) / half_span).max(axis=1)
+    if not np.isfinite(departure).any():
         raise FilmError("the nominal model's motion has no end")
-    followed = left <= max(_FOLLOWED, float(np.nanmin(left)))
-    chosen = np.where(followed, left, -np.inf).argmax()
+    followed = departure <= max(_FOLLOWED, float(np.nanmin(departure)))
+    chosen = np.where(followed, departure, -np.inf).argmax()
     changes = {"nominal model": nominal}
-    amended = changed(robot, [found.beside, found.amended])
-    if not np.allclose(found.before, found.after):
-        changes["amended model"] = amended
+    if not np.allclose(diagnosis.before, diagnosis.after):
+        changes["amended model"] = changed(robot, [diagnosis.beside, diagnosis.amended])
     return _clip(robot, motion, int(begins[chosen]), span, changes)
 
 
@@ -170,12 +174,11 @@ def _clip(
     """The window from one row on, with the motion of each variant by its label."""
     rollouts = Rollouts(robot, motion, np.array([begin]), span)
     measured, _speed = rollouts.measured(begin + np.arange(span + 1))
-    colours = {"nominal model": BEFORE, "amended model": AFTER}
     predictions = []
     for label, change in changes.items():
         position, _speed = rollouts.predicted(change)
         from_measured = np.concatenate([measured[:1], position[0]])
-        predictions.append(Prediction(label, colours[label], _in_frames(from_measured)))
+        predictions.append(Prediction(label, _COLOURS[label], _in_frames(from_measured)))
     lengths = np.cumsum([0, *map(len, motion.paths)])
     number = int(np.searchsorted(lengths, begin, side="right")) - 1
     trial = motion.trials[number]
@@ -207,8 +210,8 @@ def rendered_film(model: mujoco.MjModel, clip: Clip) -> tuple[bytes, bytes]:
         np.savez(
             folder / rendering.POSITIONS,
             measured=clip.measured,
-            predicted=np.array([each.position for each in clip.predictions]),
-            colours=np.array([_rgb(each.colour) for each in clip.predictions]),
+            predicted=np.array([prediction.position for prediction in clip.predictions]),
+            colours=np.array([_rgb(prediction.colour) for prediction in clip.predictions]),
         )
         chosen = os.environ.get("MUJOCO_GL")
         for driver in [chosen] if chosen else _DRIVERS:

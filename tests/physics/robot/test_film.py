@@ -43,7 +43,7 @@ def rubbing(tmp_path_factory):
     motion = prepared(read_recording(recording, robot), robot)
     system = RobotSystem(robot, motion, {})
     amended = {Term("joint_friction", "elbow", "torque_n_m"): FRICTION_N_M}
-    before, after = (system.predict([each])[0] * system.scale for each in ({}, amended))
+    before, after = (system.predict([effects])[0] * system.scale for effects in ({}, amended))
     gap = gap_of(45.9, 1.1, 1.0).model_copy(update={"effects_n": 1.2})
     channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     verdict = verdict_of("joint_friction", gap=gap, channels=channels, rows=9)
@@ -76,7 +76,7 @@ def frames_of(animation):
 def test_the_amended_model_stays_with_the_measured_motion(rubbing, clip):
     nominal, amended = clip.predictions
     assert nominal.position[0] == pytest.approx(clip.measured[0], abs=1e-9)
-    away_rad = [np.abs(each.position - clip.measured).max() for each in (nominal, amended)]
+    away_rad = [np.abs(model.position - clip.measured).max() for model in (nominal, amended)]
     assert away_rad[0] > 10.0 * away_rad[1]
     assert away_rad[1] < 0.02
 
