@@ -158,6 +158,7 @@ def _added(scene: mujoco.MjvScene, kind: mujoco.mjtGeom, rgba: tuple[float, ...]
     geom = scene.geoms[scene.ngeom]
     colour = np.array(rgba, dtype=np.float32)
     mujoco.mjv_initGeom(geom, kind, np.ones(3), np.zeros(3), np.eye(3).ravel(), colour)
+    geom.emission = _EMISSION
     scene.ngeom += 1
     return geom
 
