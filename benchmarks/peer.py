@@ -69,6 +69,7 @@ def main() -> int:
     each_pendulum = _each(of_pendulums, folder, until_s)
     figures = {
         "seed": options.seed,
+        "drawn": options.count,
         **_summary(each_case),
         "each_case": each_case,
         "each_pendulum": each_pendulum,
