@@ -182,7 +182,6 @@ setup(
     entry_points={
         "console_scripts": [
             "cablesense = cablesense_ros.cli.app:main",
-            "machine_sim = cablesense_ros.programs:machine_sim",
             "sim = cablesense_ros.programs:sim",
             "estimator = cablesense_ros.programs:estimator",
             "page = cablesense_ros.programs:page",

@@ -247,18 +247,27 @@ class Load:
 
 ContactOf = Callable[[Array, Array], tuple[int, float]]
 """The segment and the place on its axis where a force (3,) with a torque (3,) acts, base frame."""
+PlaceOf = Callable[[int, Array, Array], float]
+"""The place on the axis of a link, from 1, where a force (3,) acts: by its torque (3,) about the
+origin of the link's frame; both in base axes."""
 
 
-def read_load(message: Any, frames: Frames, contact_of: ContactOf | None = None) -> Load:
+def read_load(
+    message: Any,
+    frames: Frames,
+    contact_of: ContactOf | None = None,
+    place_of: PlaceOf | None = None,
+) -> Load:
     """The load that a `WrenchStamped` describes.
 
     In the base frame it is a wrench as tf2 understands one, whose torque about the frame's origin
     states where the force acts; `contact_of` reads that at the present pose. In the frame of a
-    segment the force acts at its contact point, in base axes all the same.
+    segment the force acts at its contact point, in base axes all the same; or, where there is a
+    `place_of`, where its torque says.
 
     Raises:
         CableSenseError: an unknown frame, a force that is not finite or too large, a torque in the
-            frame of a segment; or of `contact_of`.
+            frame of a segment without a `place_of`; or of `contact_of` and `place_of`.
     """
     force, torque = (
         np.array([vector.x, vector.y, vector.z], dtype=np.float64)
@@ -277,27 +286,32 @@ def read_load(message: Any, frames: Frames, contact_of: ContactOf | None = None)
         segment, contact_m = contact_of(force, torque)
         return Load(segment, force, contact_m)
     segment = frames.segment_number(message.header.frame_id)
-    if torque.any():
+    if not torque.any():
+        return Load(segment, force)
+    if place_of is None:
         raise ContractError(
             f"wrench.torque is {_shown(torque)} N·m; in a segment's frame it must be zero: the "
             "force acts at the contact point of the segment, and elsewhere in the base frame"
         )
-    return Load(segment, force)
+    if not np.isfinite(torque).all():
+        raise ContractError(f"wrench.torque is {_shown(torque)} N·m; it must be finite")
+    return Load(segment, force, place_of(segment, force, torque))
 
 
-def read_region(message: Any, frames: Frames) -> tuple[int, float, float]:
-    """Segment, from 1, and the ends of a contact's region, m from its joint centre.
+def read_region(message: Any, frames: Frames) -> tuple[int, Array]:
+    """Segment, from 1, and the ends (2, 3) of a contact's region in its frame, m.
 
     Raises:
-        ContractError: an unknown frame, or not two points of finite x.
+        ContractError: an unknown frame, or not two finite points.
     """
     segment = frames.segment_number(message.header.frame_id)
-    ends_m = sorted(float(point.x) for point in message.polygon.points)
-    if len(ends_m) != 2 or not all(map(math.isfinite, ends_m)):
+    ends_m = np.array([[point.x, point.y, point.z] for point in message.polygon.points])
+    if len(ends_m) != 2 or not np.isfinite(ends_m).all():
         raise ContractError(
-            f"polygon.points has x = {ends_m[:4]}; it must be two finite places on the segment, m"
+            f"polygon.points is {ends_m[:4].tolist()}; it must be two finite places on the "
+            "segment, m"
         )
-    return segment, ends_m[0], ends_m[1]
+    return segment, ends_m
 
 
 def _shown(vector: Array) -> str:

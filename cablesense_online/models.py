@@ -21,7 +21,6 @@ from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, find_
 from cablesense_contact.inference.model_file import read_model
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import ReferenceContacts
-from cablesense_msgs_py.topics import Frames
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.contacts import ContactFinder, LawContacts, NetworkContacts
 from cablesense_online.movable import Movable
@@ -102,13 +101,6 @@ class Loaded(ABC):
             CalibrationError: no calibration, or one of another machine.
         """
         return read_calibration(path, self.machine) if path else None
-
-
-def frames_of(machine: FeltMachine, prefix: str) -> Frames:
-    """The frames in which contacts on a machine are stated."""
-    names = machine.link_names
-    numbered = tuple(f"segment_{number + 1}" for number in range(len(names)))
-    return Frames(len(names), prefix, () if names == numbered else names)
 
 
 class LoadedModel(Loaded):

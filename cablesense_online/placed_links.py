@@ -1,7 +1,8 @@
 """Contacts in the frames that messages name, where a link's own frame is another one.
 
 A contact is stated in a frame on the axis of its link, with x along it. An arm's segments have
-such frames. The bodies of a MuJoCo model have frames of their own: what is stated is moved there.
+such frames. The bodies of a MuJoCo model have frames of their own: what is stated is moved there,
+and what messages state is moved back.
 """
 
 from __future__ import annotations
@@ -10,10 +11,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cablesense_contact.felt import LinkFrames
+from cablesense_base import Array
+from cablesense_contact.felt import FeltMachine, LinkFrames, LinksAtPose
+from cablesense_msgs_py.topics import Frames
+from cablesense_sim.loads import LoadError
 from cablesense_sim.rotations import quaternion_xyzw
 
 _Vector = tuple[float, float, float]
+_LEAST_LATERAL = 1e-3
+"""Share of a force across a link, below which its torque says nothing of its place."""
+
+
+def frames_of(machine: FeltMachine, prefix: str) -> Frames:
+    """The frames in which contacts on a machine are stated."""
+    names = machine.link_names
+    numbered = tuple(f"segment_{number + 1}" for number in range(len(names)))
+    return Frames(len(names), prefix, () if names == numbered else names)
 
 
 class PlacedLinks:
@@ -56,3 +69,47 @@ class PlacedLinks:
         if self._frames is None:
             return 0.0, 0.0, 0.0, 1.0
         return self._quaternions[number - 1]
+
+    def wrench_on_axis(self, number: int, force: Array, torque: Array) -> tuple[Array, Array]:
+        """Force and moment (3,) of a message, in the link's frame on its axis."""
+        if self._frames is None or not number:
+            return force, torque
+        axes = self._frames.axes[number - 1]
+        moment = torque - np.cross(self._frames.origin_m[number - 1], force)
+        return force @ axes, moment @ axes
+
+    def place_m(self, number: int, point: Array) -> float:
+        """Where along its axis a link has a point (3,) of a message."""
+        if self._frames is None:
+            return float(point[0])
+        from_origin = point - self._frames.origin_m[number - 1]
+        return float(from_origin @ self._frames.axes[number - 1, :, 0])
+
+    def load_torque(self, number: int, links: LinksAtPose, force: Array, place_m: float) -> Array:
+        """(3,) torque of a load, (3,) in base axes, about the origin of the frame of messages."""
+        arm_m = self._origin_m(number, links) + place_m * links.axes[number - 1, :, 0]
+        return np.cross(arm_m, force)
+
+    def load_place_m(self, number: int, links: LinksAtPose, force: Array, torque: Array) -> float:
+        """Where along a link a load acts, by such a torque: the opposite of `load_torque`.
+
+        With the axis e and the frame's origin at o, τ = (o + s e) x f, so s = (e x f)·(τ - o x f)
+        / |e x f|².
+
+        Raises:
+            LoadError: the force is along the link, so that no torque says where it acts.
+        """
+        slope = np.cross(links.axes[number - 1, :, 0], force)
+        if np.linalg.norm(slope) <= _LEAST_LATERAL * np.linalg.norm(force):
+            raise LoadError(
+                "a force along a link has no place that a torque could state; leave the torque out"
+            )
+        along_axis = torque - np.cross(self._origin_m(number, links), force)
+        return float(slope @ along_axis / (slope @ slope))
+
+    def _origin_m(self, number: int, links: LinksAtPose) -> Array:
+        """(3,) from the origin of messages' frame to that of the link, in base axes."""
+        if self._frames is None:
+            return np.zeros(3)
+        in_base = links.axes[number - 1] @ self._frames.axes[number - 1].T
+        return np.asarray(in_base @ self._frames.origin_m[number - 1])

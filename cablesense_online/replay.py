@@ -31,7 +31,8 @@ from cablesense_online.answer import Answer
 from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
-from cablesense_online.models import Loaded, LoadedModel, frames_of
+from cablesense_online.models import Loaded, LoadedModel
+from cablesense_online.placed_links import frames_of
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message

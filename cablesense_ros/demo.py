@@ -16,20 +16,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-import numpy as np
 from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_ros.processes import Processes, node_command, own_graph
-from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.load_capacity import contact_range_n
+from cablesense_sim.arm import open_arm
+from cablesense_sim.machine.description import is_machine_file
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from cablesense_online.models import LoadedModel
-    from cablesense_online.page.live_arm import LiveArm
+    from cablesense_online.models import Loaded
+    from cablesense_online.page.live_machine import LiveMachine
     from cablesense_ros.demo_pushes import PushRecord, ScriptedPush
 
 _MAP = "twelve_channel_amplifier"
@@ -43,7 +42,8 @@ _JOINT_SPEED_RAD_S = math.radians(20.0)
 _REST_S = 1.0
 """From a command to a breath or a commissioning: a move of the demo has nearly ended then."""
 _LEAST_RATE_HZ = 50.0
-"""The sensors of slower arms are read this often: a page at 5 Hz looks broken."""
+"""The sensors of slower arms are read this often, as a page at 5 Hz looks broken; and those of
+machines, whose files state no rate."""
 _POSES = 8
 """Those of the commissioning: what a person waits for."""
 _COMMISSIONING_S = 300.0
@@ -84,7 +84,8 @@ class DemoOptions:
     """The command's options: an empty `model` is the arm's own, `out` holds logs and picture.
 
     The arm has errors within its file's tolerances, by `built_seed`, or `AS_FILE` none. It is
-    commissioned before it is pushed, unless it breathes all the time, or has a network's model.
+    commissioned before it is pushed, unless it breathes all the time, has a network's model, or is
+    a machine that MuJoCo describes. `arm` may be the path of such a machine's file.
     """
 
     arm: str = DEMO_ARM
@@ -107,9 +108,10 @@ def run_live(options: DemoOptions) -> None:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
     from cablesense_online.page.guard import exposure_warning
+    from cablesense_online.page.opened import shown_machine
 
-    options, model = _checked(options)
-    contact_range_n(model.arm)  # on a fresh machine it compiles; in the nodes nobody sees why
+    options, _ = _checked(options)
+    shown_machine(options.arm)  # on a fresh computer it compiles; in the nodes nobody sees why
     with _nodes(options, live=True) as processes:
         print(f"Starting {', '.join(processes)} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
@@ -129,37 +131,32 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     Raises:
         CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
-    from cablesense_contact.inference.metadata import ANYWHERE
-    from cablesense_online.page.live_arm import LiveArm
+    from cablesense_online.page.live_machine import LiveMachine
+    from cablesense_online.page.opened import shown_machine
     from cablesense_ros import demo_pushes
-    from cablesense_sim.build import mechanism_of
-    from cablesense_sim.touch import touched_places
 
-    options, model = _checked(options)
-    arm = model.arm
+    options, loaded = _checked(options)
     os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
     console = Console(stderr=as_json)
-    mechanism = mechanism_of(arm)
-    if model.metadata.kind == ANYWHERE:
-        # between the guide plates, which are in the way of a hand
-        reach_m = np.maximum(touched_places(arm).touched_m, mechanism.plate_offset_m)
-        most_along = demo_pushes.MOST_ALONG
-    else:  # it estimates contacts at these points alone
-        reach_m = np.repeat(mechanism.contact_m[:, None], 2, axis=1)
+    shown = shown_machine(options.arm)
+    reach_m = shown.free_m
+    most_along = demo_pushes.MOST_ALONG
+    if loaded.law is None:  # a network estimates contacts at these points alone
+        reach_m = shown.usual_m[:, None].repeat(2, axis=1)
         most_along = 0.0
-    range_n = contact_range_n(arm)
-    script = demo_pushes.make_script(reach_m, duration_s, options.seed, range_n, most_along)
-    live = LiveArm(arm, joint_speed_rad_s=_JOINT_SPEED_RAD_S)
-    played = _played(options, arm, script, live, console)
+    script = demo_pushes.make_script(shown, reach_m, duration_s, options.seed, most_along)
+    live = LiveMachine(shown, joint_speed_rad_s=_JOINT_SPEED_RAD_S)
+    played = _played(options, script, live, console)
     results = demo_pushes.push_results(script, played)
     picture = options.out / "demo.png"
     with console.status("Drawing the picture …"):
-        demo_pushes.draw_pushes(picture, played, results, arm.segment_count)
+        demo_pushes.draw_pushes(picture, played, results, shown.words)
     if as_json:
-        summary = {"arm": arm.identity, **demo_pushes.metrics(results), "picture": str(picture)}
+        identity = {shown.words.machine: shown.felt.identity}
+        summary = {**identity, **demo_pushes.metrics(results), "picture": str(picture)}
         print(json.dumps(summary, indent=2))
     else:
-        console.print(demo_pushes.results_table(results))
+        console.print(demo_pushes.results_table(results, shown.words))
         console.print(demo_pushes.coverage_line(results))
         console.print(f"picture: {picture}", soft_wrap=True)
     if silent := sum(not result.sample_count for result in results):
@@ -169,46 +166,46 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 
 def _played(
-    options: DemoOptions, arm: Arm, script: Sequence[ScriptedPush], live: LiveArm, console: Console
+    options: DemoOptions, script: Sequence[ScriptedPush], live: LiveMachine, console: Console
 ) -> PushRecord:
     from rich.progress import Progress
 
-    from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo_pushes import play_script
+    from cablesense_ros.machine_client import MachineClient, command_readers
     from cablesense_ros.node_process import node_in_thread
+
+    words = live.shown.words
 
     def estimated() -> bool:
         return live.snapshot(time.monotonic()).answered
 
     with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
-        readers = ["sim", "estimator"]
-        if options.commission:
-            readers.append("commissioner")
-        client = ArmClient(node, arm, live, "estimator", readers)
-        with console.status("Starting the simulated arm and the estimator …"):
+        readers = command_readers(live.shown, "estimator", commissioner=options.commission)
+        client = MachineClient(node, live, "estimator", readers)
+        with console.status(f"Starting the simulated {words.machine} and the estimator …"):
             wait = partial(processes.wait_until, within_s=_START_S)
             wait(lambda: client.connected, otherwise="simulator and estimator did not come up")
-            client.command(script[0].command_rad)
+            client.command(script[0].command)
             wait(estimated, otherwise="no estimate came")
             wait(lambda: live.reports_ok("tare"), otherwise="the estimator took no tare")
         by_tare = _known(live)
-        console.print(f"After a tare, the arm is {by_tare}.")
+        console.print(f"After a tare, the {words.machine} is {by_tare}.")
         if options.commission:
             _commission(node, live, processes, console)
             taken = "the estimator did not take the calibration over"
             wait(lambda: _known(live) != by_tare, otherwise=taken)
-            console.print(f"Commissioned, the arm is {_known(live)}.")
+            console.print(f"Commissioned, the {words.machine} is {_known(live)}.")
         with Progress(console=console, transient=True) as bar:
-            task = bar.add_task("pushing the arm", total=script[-1].end_s)
+            task = bar.add_task(f"pushing the {words.machine}", total=script[-1].end_s)
             return play_script(client, live, script, processes.check, partial(bar.update, task))
 
 
-def _known(live: LiveArm) -> str:
-    """How well the estimator says that it knows its arm."""
-    return live.snapshot(time.monotonic()).arm_known or "not known"
+def _known(live: LiveMachine) -> str:
+    """How well the estimator says that it knows its machine."""
+    return live.snapshot(time.monotonic()).machine_known or "not known"
 
 
-def _commission(node: Node, live: LiveArm, processes: Processes, console: Console) -> None:
+def _commission(node: Node, live: LiveMachine, processes: Processes, console: Console) -> None:
     """Let the arm be commissioned.
 
     Raises:
@@ -250,13 +247,12 @@ def _commission(node: Node, live: LiveArm, processes: Processes, console: Consol
         raise DemoError(f"the commissioning {said}")
 
 
-def _checked(options: DemoOptions) -> tuple[DemoOptions, LoadedModel]:
+def _checked(options: DemoOptions) -> tuple[DemoOptions, Loaded]:
     """Read arm and model before anything starts: a wrong file is one line, not a silent node."""
-    from cablesense_contact.inference.metadata import ANYWHERE
-    from cablesense_online.models import load_model
+    from cablesense_online.loading import load
 
-    model = load_model(options.arm, options.model)
-    if options.breathe or model.metadata.kind != ANYWHERE:
+    loaded = load(options.arm, options.model)
+    if options.breathe or loaded.law is None or is_machine_file(options.arm):
         options = replace(options, commission=False)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -264,14 +260,14 @@ def _checked(options: DemoOptions) -> tuple[DemoOptions, LoadedModel]:
         raise CableSenseError(
             f"the folder {options.out} cannot be made ({error.strerror}); give another --out"
         ) from error
-    return options, model
+    return options, loaded
 
 
 def node_commands(options: DemoOptions, live: bool) -> dict[str, list[str]]:
     """The command lines of all nodes but this process's own, by name; with the page if `live`."""
     arm: dict[str, object] = {"arm": options.arm}
     simulation = arm | {"seed": options.seed, "built_seed": options.built_seed}
-    if open_arm(options.arm).sensors.rate_hz < _LEAST_RATE_HZ:
+    if is_machine_file(options.arm) or open_arm(options.arm).sensors.rate_hz < _LEAST_RATE_HZ:
         simulation["rate_hz"] = _LEAST_RATE_HZ
     if options.source is Source.SIM:
         commands = {"sim": node_command("sim", simulation)}

@@ -1,4 +1,4 @@
-"""Scripted pushes on the simulated arm, played and compared with the estimates of them.
+"""Scripted pushes on a simulated machine, played and compared with the estimates of them.
 
 The report is a table, plain values, and a picture.
 """
@@ -19,17 +19,18 @@ from rich.table import Table
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
-from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     ESTIMATE_RGB,
     SETTLING_S,
     TRUE_RGB,
     Snapshot,
+    Words,
     angle_error_deg,
     css,
 )
-from cablesense_ros.arm_client import ArmClient
-from cablesense_sim.load_capacity import USUAL_CONTACT_N
+from cablesense_ros.machine_client import MachineClient
 
 PUSH_S = 3.0
 """How long each push is held."""
@@ -61,27 +62,29 @@ class ScriptedPush:
 
     Attributes:
         contact: what pushes where, at the commanded pose.
-        command_rad: (2N,) joint angles commanded at `move_s`, before the push.
+        command: (C,) in force meanwhile.
+        bent: whether that is another pose than the first, commanded at `move_s`, before the push.
     """
 
     start_s: float
     end_s: float
     contact: Contact
-    command_rad: Array
+    command: Array
+    bent: bool
     move_s: float
 
 
 def make_script(
+    shown: ShownMachine,
     reach_m: Array,
     duration_s: float,
     seed: int,
-    range_n: float = USUAL_CONTACT_N,
     most_along: float = MOST_ALONG,
 ) -> list[ScriptedPush]:
-    """Pushes on one segment after another, the last first: the straight arm, then random poses.
+    """Pushes on one link after another, the last first: in the first pose, then in random ones.
 
-    They act within `reach_m` (N, 2) of each segment, from its joint centre, with up to 0.6 of
-    `range_n`, the strongest contact to expect, and `most_along` of their force along the axis.
+    They act within `reach_m` (N, 2) of each link, along its axis, with up to 0.6 of the strongest
+    contact to expect, and `most_along` of their force along the axis.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -91,19 +94,22 @@ def make_script(
             f"duration is {duration_s:g} s; one push takes {SHORTEST_SLOT_S:g} s at least"
         )
     rng = np.random.default_rng(seed)
-    segment_count = len(reach_m)
+    link_count = len(reach_m)
+    joint_count = len(shown.felt.torque_names)
     straight_count = max(1, int(0.5 * duration_s / SHORTEST_SLOT_S))
     posed_count = int((duration_s - straight_count * SHORTEST_SLOT_S) / (SHORTEST_SLOT_S + MOVE_S))
     script = []
     now_s = 0.0
     for number in range(straight_count + posed_count):
-        command = np.zeros(2 * segment_count)
+        command = shown.felt.first_command
         end_s = now_s + SHORTEST_SLOT_S
-        if number >= straight_count:
-            command = np.deg2rad(rng.uniform(-POSE_LIMIT_DEG, POSE_LIMIT_DEG, 2 * segment_count))
+        bent = number >= straight_count
+        if bent:
+            turn_rad = np.deg2rad(rng.uniform(-POSE_LIMIT_DEG, POSE_LIMIT_DEG, joint_count))
+            command = shown.command_near(turn_rad)
             end_s += MOVE_S
-        magnitude_n = range_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
-        segment = segment_count - number % segment_count
+        magnitude_n = shown.strongest_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
+        segment = link_count - number % link_count
         contact = Contact(
             segment=segment,
             angle_deg=float(rng.uniform(0.0, 360.0)),
@@ -111,7 +117,7 @@ def make_script(
             contact_m=float(rng.uniform(*reach_m[segment - 1])),
             along_n=float(magnitude_n * rng.uniform(-most_along, most_along)),
         )
-        script.append(ScriptedPush(end_s - PUSH_S, end_s, contact, command, move_s=now_s))
+        script.append(ScriptedPush(end_s - PUSH_S, end_s, contact, command, bent, move_s=now_s))
         now_s = end_s
     return script
 
@@ -124,8 +130,8 @@ class PushRecord(NamedTuple):
 
 
 def play_script(
-    client: ArmClient,
-    live: LiveArm,
+    client: MachineClient,
+    live: LiveMachine,
     script: Sequence[ScriptedPush],
     check: Callable[[], object],
     progress: Callable[..., object],
@@ -137,8 +143,8 @@ def play_script(
     """
     due: deque[tuple[float, Callable[[], None]]] = deque()
     for push in script:
-        if push.command_rad.any():
-            due.append((push.move_s, partial(client.command, push.command_rad)))
+        if push.bent:
+            due.append((push.move_s, partial(client.command, push.command)))
         due.append((push.start_s, partial(client.push, push.contact)))
         due.append((push.end_s, partial(client.push, NO_CONTACT)))
     times_s = []
@@ -340,24 +346,26 @@ def coverage_line(results: Sequence[PushResult]) -> str:
     return f"Within their stated 95 % intervals: {places}, {forces}"
 
 
-def results_table(results: Sequence[PushResult]) -> Table:
+def results_table(results: Sequence[PushResult], words: Words) -> Table:
     """One row for each push, median errors in the footer; red is outside its stated interval."""
-    title = "True against estimated: the straight arm, then bent"
+    first = "the straight arm" if words.machine == "arm" else "the first pose"
+    title = f"True against estimated: {first}, then bent"
     table = Table(title=title, show_footer=True, title_justify="left")
     right = f"{sum(result.segment_right for result in results)} of {len(results)}"
-    head = "true segment, place,\ndirection, force"
-    table.add_column(head, "segments right, median errors", justify="right", no_wrap=True)
-    table.add_column("estimated\nsegment", right, justify="right")
+    head = f"true {words.link}, place,\ndirection, force"
+    table.add_column(head, f"{words.link}s right, median errors", justify="right", no_wrap=True)
+    table.add_column(f"estimated\n{words.link}", right, justify="right")
     for name, mean in _median_errors(results).items():
         table.add_column(f"{name}\nerror", mean, justify="right")
-    straight = sum(not result.push.command_rad.any() for result in results)
+    straight = sum(not result.push.bent for result in results)
     for number, result in enumerate(results, start=1):
         true = result.push.contact
         errors = result.errors
+        label = words.links[true.segment - 1]
         table.add_row(
-            f"{true.segment} {1e3 * true.contact_m:4.0f} mm {true.angle_deg:6.1f}° "
+            f"{label} {1e3 * true.contact_m:4.0f} mm {true.angle_deg:6.1f}° "
             f"{true.magnitude_n:6.1f} N",
-            f"[{'green' if result.segment_right else 'red'}]{_found(result)}[/]",
+            f"[{'green' if result.segment_right else 'red'}]{_found(result, words)}[/]",
             _judged(_text("{:+.1f} mm", errors.get("place_mm")), result.place_covered),
             _text("{:.2f}°", errors.get("direction_deg")),
             _text("{:+.2f} N·m", errors.get("moment_n_m"))
@@ -377,11 +385,11 @@ def _own_region_mm(now: Snapshot) -> tuple[float, float]:
     return np.nan, np.nan
 
 
-def _found(result: PushResult) -> str:
+def _found(result: PushResult, words: Words) -> str:
     if result.estimate is None:
         return "no contact" if result.sample_count else "no estimate"
     moment = ", moment" if result.moment_alone else ""
-    return f"{result.estimate.segment}{moment}"
+    return f"{words.links[result.estimate.segment - 1]}{moment}"
 
 
 def _judged(text: str, covered: bool | None) -> str:
@@ -399,7 +407,7 @@ def _text(form: str, value: float | None) -> str:
 
 
 def draw_pushes(
-    path: Path, played: PushRecord, results: Sequence[PushResult], segment_count: int
+    path: Path, played: PushRecord, results: Sequence[PushResult], words: Words
 ) -> None:
     """Draw true and estimated contacts over time, as PNG."""
     import matplotlib as mpl
@@ -408,21 +416,21 @@ def draw_pushes(
     import matplotlib.pyplot as plt
 
     right = sum(result.segment_right for result in results)
-    caption = f"{right} of {len(results)} pushes on the right segment"
+    caption = f"{right} of {len(results)} pushes on the right {words.link}"
     if right:
         medians = (f"{name} {median}" for name, median in _median_errors(results).items())
         caption += f"; median errors: {', '.join(medians)}"
     caption += f"\n{coverage_line(results)}"
     with plt.style.context("dark_background"):
         figure, rows = plt.subplots(4, figsize=(10.0, 9.5), sharex=True, layout="constrained")
-        _draw_time(rows, played, segment_count)
+        _draw_time(rows, played, words)
         figure.suptitle(f"CableSense: force from cable tensions\n{caption}")
         with written_whole(path, CableSenseError) as part:
             figure.savefig(part, dpi=110, format="png")
         plt.close(figure)
 
 
-def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> None:
+def _draw_time(rows: Sequence[Any], played: PushRecord, words: Words) -> None:
     """Force, direction, segment and place of the strongest contact, true and estimated.
 
     Bands are the stated intervals; what the estimator does not confirm is left out.
@@ -460,5 +468,7 @@ def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> N
         row.grid(visible=True, alpha=0.3)
     rows[0].legend(loc="upper right", ncols=2)
     rows[1].set(ylim=(0, 360), yticks=(0, 90, 180, 270, 360))
-    rows[2].set(yticks=range(segment_count + 1), ylabel="segment (0: none)")
+    labels = ("none", *words.links)
+    rows[2].set_yticks(range(len(labels)), labels, fontsize=10 if len(labels) < 6 else 6)
+    rows[2].set(ylabel=words.link)
     rows[3].set(xlabel="time, s")

@@ -21,7 +21,7 @@ from cablesense_online.answer import Answer
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
-from cablesense_online.models import frames_of
+from cablesense_online.placed_links import frames_of
 from cablesense_online.provenance import Provenance
 from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
 from cablesense_online.statuses import (

@@ -1,4 +1,4 @@
-"""The `page` node: shows arm and estimator in the browser, publishes what a person asks for."""
+"""The `page` node: a machine and its estimator in the browser, and what a person asks for."""
 
 from __future__ import annotations
 
@@ -8,51 +8,49 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import numpy as np
 from rclpy.client import Client
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
+from cablesense_online.page.controls import Actions
 from cablesense_online.page.guard import exposure_warning
-from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.opened import shown_machine
 from cablesense_online.page.page import Page
-from cablesense_online.page.panel import Actions
-from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.endpoints import of_node, steady_timer
+from cablesense_ros.machine_client import MachineClient, command_readers
 from cablesense_ros.node_process import declare_parameters, full_name, parameter_table, run_node
-from cablesense_sim.arm import open_arm
 
 _ASK_AGAIN_S = 0.5
 """After a commissioner has refused to begin."""
 
 
 class PageNode(Node):
-    """A thin shell around `LiveArm` (messages in) and `Page` (picture and controls out)."""
+    """A thin shell around `LiveMachine` (messages in) and `Page` (picture and controls out)."""
 
     def __init__(self) -> None:
         super().__init__("page")
         settings = declare_parameters(self, parameter_table("page"))
-        arm = open_arm(settings["arm"])
+        shown = shown_machine(settings["arm"])
+        felt = shown.felt
         host = settings["host"]
         port = settings["port"]
         estimator = settings["estimator"]
         self._home_due = settings["home_at_start"]
         self._commission_due = settings["commission_at_start"]
         self._commission_from_s = 0.0
-        self._home_rad = np.zeros(arm.joint_count)
-        self._live = LiveArm(
-            arm,
+        self._home = felt.first_command
+        self._live = LiveMachine(
+            shown,
             joint_speed_rad_s=settings["joint_speed_rad_s"],
             frame_prefix=settings["frame_prefix"],
             estimator=full_name(self, estimator),
             commissioner=full_name(self, "commissioner"),
         )
-        readers = ["sim", estimator.split("/")[-1]]
-        if self._commission_due:
-            readers.append("commissioner")
-        self._client = ArmClient(self, arm, self._live, estimator, readers)
+        readers = command_readers(shown, estimator, commissioner=self._commission_due)
+        self._client = MachineClient(self, self._live, estimator, readers)
         tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
         undo_tare = self.create_client(Trigger, of_node(estimator, topics.TARE_UNDO))
         breathe = self.create_client(Trigger, of_node("breather", topics.BREATHE))
@@ -69,12 +67,14 @@ class PageNode(Node):
             can_commission=commission.service_is_ready,
         )
         controls = settings["controls"]
-        self._page = Page(arm, self._actions if controls else None, host=host, port=port)
+        self._page = Page(shown, self._actions if controls else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
         if warning := exposure_warning(host, self._page.port, controls):
             self.get_logger().warning(warning)
-        self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
+        self.get_logger().info(
+            f"page of {shown.words.machine} {felt.identity} at {self._page.url}"
+        )
         print(f"page: {self._page.url}", flush=True)
         steady_timer(self, 1.0 / settings["rate_hz"], self._draw)
 
@@ -86,7 +86,7 @@ class PageNode(Node):
     def _draw(self) -> None:
         if self._home_due and self._client.connected:
             self._home_due = False
-            self._client.command(self._home_rad)
+            self._client.command(self._home)
         if self._commission_due and not self._home_due and self._live.reports_ok("tare"):
             self._begin_commissioning()
         self._page.show(self._live.snapshot(time.monotonic()))

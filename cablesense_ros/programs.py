@@ -24,7 +24,6 @@ def _run(node: str) -> int:
 
 
 sim = partial(_run, "sim")
-machine_sim = partial(_run, "machine_sim")
 estimator = partial(_run, "estimator")
 page = partial(_run, "page")
 can_driver = partial(_run, "can_driver")

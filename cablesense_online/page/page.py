@@ -12,22 +12,16 @@ from collections.abc import Mapping
 import numpy as np
 import viser
 
+from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
+from cablesense_online.page.arrows import Arrows
+from cablesense_online.page.controls import Actions, Controls
+from cablesense_online.page.figures import html
 from cablesense_online.page.guard import free_port, guarded_server, present_visitor
-from cablesense_online.page.panel import (
-    Actions,
-    Controls,
-    ForceTrace,
-    cable_lines,
-    html,
-    tension_trace,
-)
-from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, Mouse, view
+from cablesense_online.page.scene import VIEW_ANGLE_RAD, MachineScene, Mouse, view
+from cablesense_online.page.shown import ReadingPanel, ShownMachine
 from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.load_capacity import contact_range_n
-from cablesense_sim.touch import touched_places
+from cablesense_online.page.traces import ForceTrace, ReadingTrace, reading_lines
 
 _FIGURES_EVERY_S = 0.15
 """Pace of figures on the page: faster ones cannot be read."""
@@ -42,11 +36,42 @@ _RETURN_S = 10.0
 _WIDE = 1.6
 """Width over height of a window whose height alone bounds the view."""
 _SAME_VIEW = 1e-3
-"""Two cameras closer than this share of the arm's length are at one place."""
+"""Two cameras closer than this share of the machine's size are at one place."""
+_TENSION = "tension"
+"""The quantity by which cables are coloured."""
+
+
+class _ReadingFigures:
+    """One panel of readings: their chart, and their numbers below it."""
+
+    def __init__(self, gui: viser.GuiApi, panel: ReadingPanel) -> None:
+        self.panel = panel
+        self._lines = reading_lines(panel)
+        self._channels = list(panel.channels)
+        self.trace = ReadingTrace(gui, panel, self._lines)
+        self._numbers = gui.add_html("")
+
+    def add(self, time_s: float, readings: Array) -> None:
+        """Keeps the readings (M,) of all channels at a moment."""
+        self.trace.buffer.add(time_s, readings[self._channels])
+
+    def values(self, readings: Array | None) -> Array | None:
+        """Those of this panel among the readings (M,) of all channels."""
+        return None if readings is None else readings[self._channels]
+
+    def draw(self, readings: Array | None) -> None:
+        """Shows what has been kept, and these numbers (M,)."""
+        values = self.values(readings)
+        self._numbers.content = html("readings", self.panel, self._lines, values)
+        self.trace.draw()
+
+    def full_scale_n(self) -> float:
+        """The round reading that covers all that are shown."""
+        return full_scale_n(self.trace.buffer.peak, self.panel.least)
 
 
 class Page:
-    """A live view of an arm, served until `close` to those who have its `url`.
+    """A live view of a machine, served until `close` to those who have its `url`.
 
     The visitor who has been there longest commands, the others watch. One who commanded and comes
     back soon, as by a reload, commands again.
@@ -55,38 +80,36 @@ class Page:
     """
 
     def __init__(
-        self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
+        self,
+        shown: ShownMachine,
+        actions: Actions | None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
     ) -> None:
         """Starts serving; without `actions` the page only shows."""
-        self._mechanism = mechanism_of(arm)
-        mechanism = self._mechanism
+        self._shown = shown
         self._actions = actions
-        self._force_limit_n = contact_range_n(arm)
-        self._cable_lines = cable_lines(arm.cable_names, mechanism)
-        self._places = touched_places(arm)
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = guarded_server(host, free_port(host, port), token)
         server = self._server
         self.port = server.get_port()
-        shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-        self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/{token}/"
+        reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+        self.url = f"http://{f'[{reached}]' if ':' in reached else reached}:{self.port}/{token}/"
         self._lock = threading.Lock()
-        self._score = Score()
+        self._score = Score(len(shown.words.links))
         self._figures_due_s = 0.0
         self._commander = -1
         self._commander_name = ""
         self._kept_until_s = 0.0  # 0 where nobody is awaited
         self._names: dict[int, str] = {}
         self._controls: Controls | None = None
-        self._joints_deg = [0.0] * mechanism.joint_count
+        self._command_values = [slider.home for slider in shown.sliders]
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
-        end_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
-        arrows = Arrows(float(end_m), self._force_limit_n)
+        arrows = Arrows(shown.extent.reach_m, shown.strongest_n)
         mouse = Mouse(self._touch, self._pull) if actions else None
-        self._scene = ArmScene(server.scene, mechanism, arrows, mouse)
-        self._arm_length_m = arrows.reach_m
+        self._scene = MachineScene(server.scene, shown, arrows, mouse)
         # where "Reset View" of the viewer's menu leads
-        server.initial_camera.position, server.initial_camera.look_at = view(arrows.reach_m, _WIDE)
+        server.initial_camera.position, server.initial_camera.look_at = view(shown.extent, _WIDE)
         self._lay_out()
         server.on_client_connect(self._follow_view)
         if actions is not None:
@@ -108,58 +131,58 @@ class Page:
             "Home view",
             icon=viser.Icon.FOCUS_CENTERED,
             color="gray",
-            hint="shows the whole arm again",
+            hint=f"shows the whole {self._shown.words.machine} again",
         )
         home.on_click(self._go_to_home_view)
         dock = gui.add_panel()
         with dock.add_tab("Estimate", viser.Icon.TARGET_ARROW):
             self._estimate = gui.add_html("")
-            self._forces = ForceTrace(gui, 0.1 * self._force_limit_n)
+            self._forces = ForceTrace(gui, 0.1 * self._shown.strongest_n)
             self._figures = gui.add_html("")
             reset = gui.add_button("Reset the errors", icon=viser.Icon.REFRESH, color="gray")
             reset.on_click(lambda _: self._reset_errors())
-            self._legend = gui.add_html("")
-            self._tensions = tension_trace(gui, self._cable_lines)
-            self._cables = gui.add_html("")
+            has_cables = any(panel.quantity == _TENSION for panel in self._shown.panels)
+            self._legend = gui.add_html("") if has_cables else None
+            self._readings = [_ReadingFigures(gui, panel) for panel in self._shown.panels]
             gui.add_html(html("style"))
         dock.dock_left()
         dock.set_width(390)
         dock.expand()
 
     def _follow_view(self, client: viser.ClientHandle) -> None:
-        """Shows the whole arm in a window of any shape.
+        """Shows the whole machine in a window of any shape.
 
         Again where the shape changes, and where the viewer's own reset has led to the view of a
         wide window.
         """
         camera = client.camera
-        wide_m = view(self._arm_length_m, _WIDE)[0]
+        wide_m = view(self._shown.extent, _WIDE)[0]
         fitted = 0.0
 
         def fit(_: viser.CameraHandle) -> None:
             nonlocal fitted
             same_shape = abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted
-            home_m = view(self._arm_length_m, camera.aspect)[0]
+            home_m = view(self._shown.extent, camera.aspect)[0]
             off_m = np.abs(np.asarray(camera.position) - wide_m).max()
-            was_reset = off_m < _SAME_VIEW * self._arm_length_m
+            was_reset = off_m < _SAME_VIEW * self._shown.extent.reach_m
             if same_shape and (not was_reset or np.allclose(home_m, wide_m)):
                 return
             fitted = camera.aspect
-            self._show_whole_arm(client)
+            self._show_all(client)
 
         fit(camera)
         camera.on_update(fit)
 
-    def _show_whole_arm(self, client: viser.ClientHandle) -> None:
+    def _show_all(self, client: viser.ClientHandle) -> None:
         camera = client.camera
         with client.atomic():
-            camera.near = 0.02 * self._arm_length_m
+            camera.near = 0.02 * self._shown.extent.reach_m
             camera.fov = VIEW_ANGLE_RAD
-            camera.position, camera.look_at = view(self._arm_length_m, camera.aspect)
+            camera.position, camera.look_at = view(self._shown.extent, camera.aspect)
 
     def _go_to_home_view(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         if event.client is not None:
-            self._show_whole_arm(event.client)
+            self._show_all(event.client)
 
     async def _note_name(self, client: viser.ClientHandle) -> None:
         """Not in a thread, where the visitor would not be known."""
@@ -188,7 +211,7 @@ class Page:
             kept = self._controls is None
             for number, shown in self._visitors.items():
                 commands = number == self._commander
-                shown.content = html("visitors", commands, len(clients), kept)
+                shown.content = html("visitors", commands, len(clients), kept, self._shown.words)
 
     def _choose_commander(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         """Gives the controls to who commanded before, and to another once that one stays away."""
@@ -207,22 +230,17 @@ class Page:
         self._commander_name = self._names.get(self._commander, "")
         with clients[self._commander].atomic():  # shown once a click is heard
             self._controls = Controls(
-                clients[self._commander].gui,
-                self._mechanism,
-                self._actions,
-                self._joints_deg,
-                self._force_limit_n,
-                self._places,
+                clients[self._commander].gui, self._shown, self._actions, self._command_values
             )
 
-    def _touch(self, client: int, segment: int, place_m: float) -> None:
-        """Somebody clicked on the arm; who commands sets where to push by it."""
+    def _touch(self, client: int, link: int, place_m: float) -> None:
+        """Somebody clicked on the machine; who commands sets where to push by it."""
         with self._lock:
             if self._controls is not None and client == self._commander:
-                self._controls.touch(segment, place_m)
+                self._controls.touch(link, place_m)
 
     def _pull(self, client: int, contact: Contact | None) -> None:
-        """Somebody drags the arm with the mouse; who commands pulls it."""
+        """Somebody drags the machine with the mouse; who commands pulls it."""
         with self._lock:
             if self._controls is not None and client == self._commander:
                 self._controls.pull(contact)
@@ -235,14 +253,15 @@ class Page:
         """Draws one moment: the scene every time, figures and traces a few times a second."""
         with self._lock:
             self._score.add(snapshot)
-        if snapshot.tensions_n is not None:
-            self._tensions.buffer.add(snapshot.time_s, snapshot.tensions_n)
+        if snapshot.readings is not None:
+            for figures in self._readings:
+                figures.add(snapshot.time_s, snapshot.readings)
             self._forces.add(snapshot)
         if not self._server.get_clients():
             return
         if 0.0 < self._kept_until_s < time.monotonic():
             self._assign_controls()
-        scale_n = full_scale_n(self._tensions.buffer.peak)
+        scale_n = self._readings[0].full_scale_n()
         with self._server.atomic():
             self._scene.show(snapshot, scale_n)
         if time.monotonic() < self._figures_due_s:
@@ -252,16 +271,17 @@ class Page:
             errors = self._score.errors
             if self._controls is not None:
                 self._controls.offer()
-        estimate = html("estimate", snapshot)
+        words = self._shown.words
+        estimate = html("estimate", snapshot, words)
         self._summary.content = f"<div class='cablesense-narrow'>{estimate}</div>"
         self._estimate.content = estimate
-        probabilities = snapshot.probabilities
-        segment_count = self._mechanism.segment_count
-        self._figures.content = html("figures", probabilities, errors, segment_count)
-        self._legend.content = html("legend", scale_n, snapshot.tensions_n)
-        self._cables.content = html("cables", self._cable_lines, snapshot.tensions_n)
+        self._figures.content = html("figures", snapshot.probabilities, errors, words)
+        if self._legend is not None:
+            tensions_n = self._readings[0].values(snapshot.readings)
+            self._legend.content = html("legend", scale_n, tensions_n)
+        for figures in self._readings:
+            figures.draw(snapshot.readings)
         self._forces.draw()
-        self._tensions.draw()
 
     def notify(self, title: str, body: str) -> None:
         """Shows a note to everyone who looks at the page, for some seconds."""

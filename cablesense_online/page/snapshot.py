@@ -1,4 +1,4 @@
-"""One moment of the arm as the page shows it, the errors over many, and the colours.
+"""One moment of a machine as the page shows it, the errors over many, and the colours.
 
 Colours are safe for colour-blind eyes and readable on a dark ground. Tensions use the viridis map
 without its darkest tenth; the two forces and the segments use the palette of Okabe and Ito
@@ -19,8 +19,28 @@ from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, ForceState, Level
 
 
+@dataclass(frozen=True)
+class Words:
+    """What a machine and its links are called.
+
+    Attributes:
+        machine: `arm` or `machine`.
+        link: `segment` or `link`.
+        links: (N,) of each: its number, or its name.
+    """
+
+    machine: str
+    link: str
+    links: tuple[str, ...]
+
+    def of_link(self, number: int) -> str:
+        """`segment 3`, or the name of the link alone; `number` counts from 1."""
+        label = self.links[number - 1]
+        return f"{self.link} {label}" if label.isdecimal() else label
+
+
 class PlaceInterval(NamedTuple):
-    """Ends, m from the joint centre of a segment, of what an interval of places covers of it."""
+    """Ends, m along the axis of a link, of what an interval of places covers of it."""
 
     segment: int
     low_m: float
@@ -56,31 +76,31 @@ class ShownStatus:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One moment of the arm; None is not known.
+    """One moment of a machine; None is not known.
 
     Attributes:
-        time_s: of the newest tensions, any steady clock.
-        joint_angles_rad: (2N,) measured or commanded.
-        command_rad: (2N,) commanded pose, in whose axes contacts are.
-        tensions_n: (M,).
+        time_s: of the newest readings, any steady clock.
+        pose: (T,) of its joints, measured or commanded.
+        frame_pose: (T,) the one in whose axes contacts are: mostly the commanded.
+        readings: (M,) of its sensors.
         true: contacts that the applied loads make, the strongest first.
         state: of the estimate.
         estimated: contacts, the strongest first; none when nothing touches and when the force is
             unknown.
         bounds: of the strongest estimated force, of the one behind `moment`, or of one that
             friction hides.
-        probabilities: (N + 1,) of no contact and of each segment.
+        probabilities: (N + 1,) of no contact and of each link.
         moment: a contact of which only that is known.
         region: the 95 % interval of where the strongest contact, or the one behind `moment`, acts:
-            what it covers of each segment, in their order.
-        arm_known: how well the estimator knows its arm, as a sentence; empty where it does not.
+            what it covers of each link, in their order.
+        machine_known: how well the estimator knows it, as a sentence; empty where it does not.
         commissioning: of one that is under way.
     """
 
     time_s: float
-    joint_angles_rad: Array
-    command_rad: Array
-    tensions_n: Array | None
+    pose: Array
+    frame_pose: Array
+    readings: Array | None
     true: tuple[Contact, ...]
     state: ForceState
     estimated: tuple[Contact, ...]
@@ -89,7 +109,7 @@ class Snapshot:
     status: ShownStatus
     moment: Contact | None = None
     region: tuple[PlaceInterval, ...] = ()
-    arm_known: str = ""
+    machine_known: str = ""
     commissioning: CommissioningProgress | None = None
 
     @property
@@ -120,16 +140,20 @@ def headline(
     estimated: tuple[Contact, ...],
     bounds: ForceBounds | None,
     moment: Contact | None,
+    words: Words,
 ) -> str:
     """One sentence for the head of the page."""
     text = _HEADLINES[state]
     if moment is not None:
-        text += f" on segment {moment.segment}: moment {moment.moment_n_m:.1f} N·m known"
+        text += f" on {words.of_link(moment.segment)}: moment {moment.moment_n_m:.1f} N·m known"
         if bounds is not None:
             text += f", force between {bounds.low_n:.0f} and {bounds.high_n:.0f} N"
+    elif len(estimated) == 1:
+        text += f" on {words.of_link(estimated[0].segment)}"
     elif estimated:
-        numbers = " and ".join(str(n) for n in sorted(contact.segment for contact in estimated))
-        text += f" on segment{'s' if len(estimated) > 1 else ''} {numbers}"
+        numbers = sorted(contact.segment for contact in estimated)
+        labels = " and ".join(words.links[number - 1] for number in numbers)
+        text += f" on {words.link}s {labels}"
     if state is ForceState.HIDDEN and bounds is not None:
         text += f"; up to {bounds.high_n:.1f} N may act"
     return text
@@ -181,7 +205,8 @@ class Errors(NamedTuple):
 class Score:
     """Adds up errors while load and pose stay put."""
 
-    def __init__(self, settling_s: float = SETTLING_S) -> None:
+    def __init__(self, link_count: int, settling_s: float = SETTLING_S) -> None:
+        self._link_count = link_count
         self._settling_s = settling_s
         self._still: Array | None = None
         self._still_since_s = 0.0
@@ -204,7 +229,7 @@ class Score:
         self._watch(snapshot)
         if snapshot.time_s - self._still_since_s < self._settling_s:
             return
-        if snapshot.tensions_n is None or snapshot.state is ForceState.MOVING:
+        if snapshot.readings is None or snapshot.state is ForceState.MOVING:
             return
         if not snapshot.state.known and not snapshot.estimated:
             self._unanswered += 1
@@ -238,11 +263,11 @@ class Score:
 
     def _watch(self, snapshot: Snapshot) -> None:
         """Notes since when load and pose have stood still."""
-        loads = np.zeros((len(snapshot.joint_angles_rad) // 2, 4))
+        loads = np.zeros((self._link_count, 4))
         for contact in snapshot.true:
             force = np.array(contact.wrench[:3]) / _STILL_N
             loads[contact.segment - 1] = *force, contact.contact_m / _STILL_M
-        now = np.append(loads, snapshot.joint_angles_rad / _STILL_RAD)
+        now = np.append(loads, snapshot.pose / _STILL_RAD)
         if self._still is None or np.abs(now - self._still).max() >= 1.0:
             self._still = now
             self._still_since_s = snapshot.time_s
@@ -299,11 +324,12 @@ def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.rint(255.0 * linear).astype(np.uint8)
 
 
-def full_scale_n(peak_n: float) -> float:
-    """The round tension, at least 100 N, that covers a peak: a scale that seldom changes."""
-    power = 10.0 ** max(2, math.floor(math.log10(max(peak_n, 1.0))))
+def full_scale_n(peak_n: float, least_n: float) -> float:
+    """The round tension that covers a peak, and at least so much: a scale that seldom changes."""
+    most_n = max(peak_n, least_n)
+    power = 10.0 ** math.floor(math.log10(most_n))
     steps_n = [step * power for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)]
-    return next(step_n for step_n in steps_n if step_n >= peak_n)
+    return next(step_n for step_n in steps_n if step_n >= most_n)
 
 
 def segment_rgb(segment: int) -> Rgb:

@@ -109,7 +109,7 @@ def demo(
         bool, typer.Option("--json", help="With --headless: print the report as JSON.")
     ] = False,
 ) -> None:
-    """Watch an arm being pushed, with the force estimated from its cables and the true one.
+    """Watch an arm or a machine being pushed, with the estimated force and the true one.
 
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
     and move its joints. The arm is not quite as its file says, like every built one; it first
@@ -117,7 +117,7 @@ def demo(
     it needs no browser: a script of pushes runs for a minute. A controller that gives way to
     pushes is examples/admittance.py.
 
-    Of a machine file every link is pushed in turn, headless.
+    A machine file works likewise, with its links; it has no commissioning, breath or CAN frames.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     if as_file:
@@ -127,13 +127,8 @@ def demo(
     if arm is None:
         arm = "cdsm_friction" if breathe else DEMO_ARM
     if is_machine_file(arm):
-        why = "of a machine file, whose demo is headless and takes no time of its own"
-        given = ["host", "port", "no_open", "duration", "source", "breathe", "no_commission"]
-        refuse_given(context, given, why)
-        from cablesense_ros.machine_demo import run_machine_demo
-
-        run_machine_demo(arm, model, out, seed, built_seed, as_json=json_output)
-        return
+        why = "of a machine file: what they do is for arms of arm files"
+        refuse_given(context, ["source", "breathe", "no_commission"], why)
     options = DemoOptions(
         arm=arm,
         model=model,

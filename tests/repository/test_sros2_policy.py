@@ -65,7 +65,7 @@ def test_every_topic_and_service_is_of_the_contract(path):
 @pytest.mark.parametrize(
     ("topic", "who"),
     [
-        ("cable_tensions", {"sim", "machine_sim", "can_driver"}),
+        ("cable_tensions", {"sim", "can_driver"}),
         ("applied_wrench", {"page"}),
         ("~/wrench", {"estimator"}),
         ("calibration", {"commissioner"}),

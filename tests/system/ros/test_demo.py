@@ -12,6 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from cablesense_msgs_py.messages import Contact, ForceState, Level
+from cablesense_online.page.shown_arm import ShownArm
 from cablesense_online.page.snapshot import ForceBounds, PlaceInterval, ShownStatus, Snapshot
 from cablesense_ros import demo
 from cablesense_ros.cli import runs
@@ -35,7 +36,9 @@ from cablesense_ros.demo_pushes import (
     results_table,
     summary,
 )
+from cablesense_sim.arm import open_arm
 
+SHOWN = ShownArm(open_arm("cdsm"))
 REACH_M = np.tile([0.02, 0.13], (4, 1))
 SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
 
@@ -129,37 +132,38 @@ def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
 
 
 def test_a_minute_visits_every_segment_straight_and_bent():
-    script = make_script(REACH_M, 60.0, seed=0)
+    script = make_script(SHOWN, REACH_M, 60.0, seed=0)
     assert script[-1].end_s <= 60.0
     assert {push.contact.segment for push in script} == {1, 2, 3, 4}
-    assert {bool(push.command_rad.any()) for push in script} == {True, False}
+    assert {push.bent for push in script} == {True, False}
+    assert all(push.bent == bool(push.command.any()) for push in script)
     assert all(a.end_s < b.start_s for a, b in pairwise(script))
     assert all(push.move_s < push.start_s < push.end_s for push in script)
-    again = make_script(REACH_M, 60.0, seed=0)
-    other = make_script(REACH_M, 60.0, seed=8)
+    again = make_script(SHOWN, REACH_M, 60.0, seed=0)
+    other = make_script(SHOWN, REACH_M, 60.0, seed=8)
     assert [p.contact for p in again] == [p.contact for p in script]
     assert [p.contact for p in other] != [p.contact for p in script]
-    for push, gentle in zip(script, make_script(REACH_M, 60.0, seed=0, range_n=2.0), strict=True):
-        newtons = push.contact.magnitude_n
-        assert gentle.contact.magnitude_n == pytest.approx(newtons / 100.0, rel=0.01)
+    newtons = np.array([push.contact.magnitude_n for push in script])
+    assert (newtons > 0.02 * SHOWN.strongest_n).all()
+    assert (newtons < 0.61 * SHOWN.strongest_n).all()
 
 
 def test_pushes_go_anywhere_within_the_reach_with_a_small_axial_part():
-    contacts = [push.contact for push in make_script(REACH_M, 600.0, seed=0)]
+    contacts = [push.contact for push in make_script(SHOWN, REACH_M, 600.0, seed=0)]
     places_m = np.array([each.contact_m for each in contacts])
     nearest_m, farthest_m = REACH_M[[each.segment - 1 for each in contacts]].T
     share = (places_m - nearest_m) / (farthest_m - nearest_m)
     assert 0.0 <= share.min() < 0.1 < 0.9 < share.max() <= 1.0
     along = np.array([each.along_n / each.magnitude_n for each in contacts])
     assert -0.2 <= along.min() < -0.1 < 0.1 < along.max() <= 0.2
-    points = make_script(np.full((4, 2), 0.065), 60.0, seed=0, most_along=0.0)
+    points = make_script(SHOWN, np.full((4, 2), 0.065), 60.0, seed=0, most_along=0.0)
     assert {push.contact[3:5] for push in points} == {(0.065, 0.0)}
 
 
 @pytest.mark.parametrize("duration_s", [-1.0, 3.9, float("nan")])
 def test_no_script_without_room_for_a_push(duration_s):
     with pytest.raises(ScriptError, match="one push takes"):
-        make_script(REACH_M, duration_s, seed=0)
+        make_script(SHOWN, REACH_M, duration_s, seed=0)
 
 
 def results_of(script, estimate_of, unknown=None):
@@ -190,7 +194,7 @@ def exact(push):
 
 
 def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
-    script = make_script(REACH_M, 60.0, seed=0)
+    script = make_script(SHOWN, REACH_M, 60.0, seed=0)
     played, results = results_of(script, exact)
     summarised = summary(results)
     assert summarised["segment_right"] == summarised["pushes"] == len(script)
@@ -199,7 +203,7 @@ def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
     assert summarised["place_mae_mm"] == pytest.approx(0.0, abs=1e-9)
     assert summarised["moment_mae_n_m"] is None
     output = io.StringIO()
-    Console(file=output, width=80).print(results_table(results))
+    Console(file=output, width=80).print(results_table(results, SHOWN.words))
     for push, plain in zip(script, metrics(results)["pushes"], strict=True):
         assert f"{push.contact.angle_deg:.1f}°" in output.getvalue()
         assert f"{push.contact.magnitude_n:.1f} N" in output.getvalue()
@@ -207,7 +211,7 @@ def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    draw_pushes(tmp_path / "demo.png", played, results, 4)
+    draw_pushes(tmp_path / "demo.png", played, results, SHOWN.words)
     image = np.asarray(Image.open(tmp_path / "demo.png").convert("RGB"))
     assert image.shape[0] > 600
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200
@@ -215,7 +219,7 @@ def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
 
 
 def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
-    script = make_script(REACH_M, 4.0, seed=0)
+    script = make_script(SHOWN, REACH_M, 4.0, seed=0)
     other = shown(script[0].contact.segment - 1)
     _, (wrong,) = results_of(script, lambda _: other)
     _, (silent,) = results_of(script, exact, unknown=ForceState.SILENT)
@@ -225,7 +229,7 @@ def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
     assert (silent.sample_count, no_contacts.estimate) == (0, None)
     assert no_contacts.sample_count > 10
     output = io.StringIO()
-    Console(file=output, width=80).print(results_table([silent, no_contacts]))
+    Console(file=output, width=80).print(results_table([silent, no_contacts], SHOWN.words))
     assert "no estimate" in output.getvalue()
     assert "no contact" in output.getvalue()
 
@@ -236,12 +240,12 @@ def test_a_moment_is_compared_as_one_and_has_no_place():
         moment_n_m = 0.1 + contact.contact_m * contact.magnitude_n
         return Contact(contact.segment, contact.angle_deg, moment_n_m=moment_n_m)
 
-    _, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), moment)
+    _, (result,) = results_of(make_script(SHOWN, REACH_M, 4.0, seed=0), moment)
     assert result.segment_right
     assert result.errors.keys() == {"direction_deg", "moment_n_m"}
     assert result.errors["moment_n_m"] == pytest.approx(0.1)
     output = io.StringIO()
-    Console(file=output, width=80).print(results_table([result]))
+    Console(file=output, width=80).print(results_table([result], SHOWN.words))
     assert "4, moment" in output.getvalue()
     assert "+0.10 N·m" in output.getvalue()
     assert metrics([result])["pushes"][0]["estimated"]["moment_n_m"] > 0.0
@@ -272,7 +276,7 @@ def with_intervals(played, force_n, place_m):
     [(1.0, 0.005, "1 of 1 places, 1 of 1 forces"), (-0.5, -0.005, "0 of 1 places, 0 of 1 forces")],
 )
 def test_the_report_counts_truths_in_their_stated_intervals(force_n, place_m, line):
-    script = make_script(REACH_M, 4.0, seed=0)
+    script = make_script(SHOWN, REACH_M, 4.0, seed=0)
     played, _ = results_of(script, exact)
     results = push_results(script, with_intervals(played, force_n, place_m))
     assert coverage_line(results).endswith(line)

@@ -8,9 +8,10 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.qos import INPUTS
-from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.shown_arm import ShownArm
 from cablesense_recording.checks import read_recording
-from cablesense_ros.arm_client import ArmClient
+from cablesense_ros.machine_client import MachineClient
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -58,8 +59,8 @@ def graph():
 
 
 def test_the_page_shows_one_and_says_that_there_is_another(graph):
-    live = LiveArm(ARM, joint_speed_rad_s=1.0)
-    ArmClient(graph.node, ARM, live, "estimator")
+    live = LiveMachine(ShownArm(ARM), joint_speed_rad_s=1.0)
+    MachineClient(graph.node, live, "estimator")
     first = Source(graph, UNLOADED)
     second = Source(graph, PUSHED)
     until(graph, [first], lambda: live.snapshot(0.0).tensions_n is not None, "tensions")

@@ -31,7 +31,7 @@ def arm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def nodes(start_for_all, arm):
-    sim = start_for_all("machine_sim", machine=str(arm), built_seed=3, rate_hz=30.0)
+    sim = start_for_all("sim", arm=str(arm), built_seed=3, rate_hz=30.0)
     return sim, start_for_all("estimator", arm=str(arm), tare_samples=20)
 
 

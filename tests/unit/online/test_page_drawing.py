@@ -10,17 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from cablesense_online.page.panel import (
-    TraceBuffer,
-    cable_lines,
-    covered_m,
-    html,
-    interval_text,
-    known_text,
-    places_text,
-)
-from cablesense_online.page.scene import Arrows, arrow_m, cable_pieces, place_m, pulled_contact
-from cablesense_online.page.snapshot import PlaceInterval
+from cablesense_contact.felt_arm import FeltArm
+from cablesense_online.page.arrows import Arrows, arrow_m, place_m, pulled_contact
+from cablesense_online.page.figures import covered_m, html, interval_text, known_text, places_text
+from cablesense_online.page.shown_arm import ShownArm, cable_pieces
+from cablesense_online.page.snapshot import PlaceInterval, Words
+from cablesense_online.page.traces import TraceBuffer, reading_lines
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
@@ -31,11 +26,13 @@ ARROWS = Arrows(reach_m=0.5, strongest_n=200.0)
 
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_table2"])
 def test_drawn_cables_have_no_gap_the_right_length_and_end_on_their_segment(name):
-    mechanism = mechanism_of(open_arm(name))
+    arm = open_arm(name)
+    mechanism = mechanism_of(arm)
+    felt = FeltArm(arm)
     rng = np.random.default_rng(4)
     for _ in range(5):
         q = rng.uniform(-0.35, 0.35, mechanism.joint_count)
-        ends_m, of_cable = cable_pieces(mechanism, q)
+        ends_m, of_cable = cable_pieces(mechanism, felt.links_at(q))
         lengths = np.linalg.norm(ends_m[:, 1] - ends_m[:, 0], axis=-1)
         drawn = np.bincount(of_cable, lengths, mechanism.cable_count)
         np.testing.assert_allclose(drawn, cable_lengths_m(mechanism, q), atol=1e-12)
@@ -110,26 +107,28 @@ def test_numbers_have_the_digits_that_their_interval_leaves(value, ends, stated)
 
 def test_an_interval_of_places_may_end_on_another_segment():
     whole = [PlaceInterval(2, 0.0521, 0.0734)]
-    assert places_text(whole) == "52 to 73 mm"
+    words = Words("arm", "segment", ("1", "2", "3", "4"))
+    assert places_text(whole, words) == "52 to 73 mm"
     two = [PlaceInterval(2, 0.121, 0.13), PlaceInterval(3, 0.0, 0.014)]
-    assert places_text(two) == "121 mm of 2 to 14 mm of 3"
+    assert places_text(two, words) == "121 mm of 2 to 14 mm of 3"
     assert covered_m(two) == pytest.approx(0.023)
 
 
 @pytest.mark.parametrize("per_segment", [3, 5])
 def test_every_cable_has_its_name_its_tension_and_a_line_of_its_own(per_segment):
-    mechanism = mechanism_of(open_arm("cdsm"))
-    segments = np.repeat(np.arange(1, 5), per_segment)
-    mechanism = dataclasses.replace(mechanism, cable_segment=segments)
-    names = [f"cable_{n}" for n in range(1, len(segments) + 1)]
-    lines = cable_lines(names, mechanism)
-    assert [line.name for line in lines] == names
-    assert len({(line.segment, *line.dash) for line in lines}) == len(names)
+    (panel,) = ShownArm(open_arm("cdsm")).panels
+    numbers = np.repeat(np.arange(1, 5), per_segment)
+    names = tuple(f"cable_{n}" for n in range(1, len(numbers) + 1))
+    groups = tuple(f"segment {n}" for n in numbers)
+    panel = dataclasses.replace(panel, names=names, groups=groups)
+    lines = reading_lines(panel)
+    assert tuple(line.name for line in lines) == names
+    assert len({(line.colour, *line.dash) for line in lines}) == len(names)
     tensions_n = np.linspace(31.0, 80.0, len(names))
-    shown = re.sub(r"<[^>]*>|\s+", " ", html("cables", lines, tensions_n)).split()
+    shown = re.sub(r"<[^>]*>|\s+", " ", html("readings", panel, lines, tensions_n)).split()
     for name, tension_n in zip(names, tensions_n, strict=True):
         assert shown[shown.index(name) + 1] == f"{tension_n:.0f}"
-    assert "–" in html("cables", lines, None)
+    assert "–" in html("readings", panel, lines, None)
 
 
 def test_traces_keep_the_last_window_thinned_evenly():

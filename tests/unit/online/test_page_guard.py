@@ -13,6 +13,7 @@ from websockets.sync.client import connect
 
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Level
 from cablesense_online.page import guard
+from cablesense_online.page.controls import Actions
 from cablesense_online.page.guard import (
     MOST_CLIENTS,
     MOST_MESSAGE_BYTES,
@@ -21,7 +22,7 @@ from cablesense_online.page.guard import (
     free_port,
 )
 from cablesense_online.page.page import Page
-from cablesense_online.page.panel import Actions, joint_limit_deg
+from cablesense_online.page.shown_arm import ShownArm, joint_limit_deg
 from cablesense_online.page.snapshot import ShownStatus, Snapshot
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -34,6 +35,7 @@ from tests.helpers.waiting import until
 pytestmark = pytest.mark.slow
 
 ARM = open_arm("cdsm")
+SHOWN = ShownArm(ARM)
 LIMIT_DEG = joint_limit_deg(mechanism_of(ARM))
 SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
 FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
@@ -43,9 +45,9 @@ NEAREST_M, FARTHEST_M = touched_places(ARM).touched_m[3]
 
 SNAPSHOT = Snapshot(
     time_s=0.0,
-    joint_angles_rad=np.zeros(8),
-    command_rad=np.zeros(8),
-    tensions_n=None,
+    pose=np.zeros(8),
+    frame_pose=np.zeros(8),
+    readings=None,
     true=(),
     state=ForceState.SILENT,
     estimated=(),
@@ -69,7 +71,7 @@ def served():
         lambda: asked.append(("commission",)),
         lambda: True,
     )
-    page = Page(ARM, actions, port=18_180)
+    page = Page(SHOWN, actions, port=18_180)
     yield page, asked
     page.close()
 
@@ -154,7 +156,7 @@ def test_a_websocket_needs_an_origin_and_the_token_and_so_does_the_page(page):
         status, text = get(page, path)
         assert (status, "the whole address" in text) == (403, True)
         refused_socket(page, 403, path, Origin=f"http://{urlsplit(page.url).netloc}")
-    other = Page(ARM, None, port=page.port)
+    other = Page(SHOWN, None, port=page.port)
     assert other.port > page.port
     assert urlsplit(other.url).path != urlsplit(page.url).path
     visitor = Visitor(other.url)
@@ -184,7 +186,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
 
     monkeypatch.setattr(guard.viser, "ViserServer", Unguarded)
     with pytest.raises(PageError, match="any website could command the arm"):
-        Page(ARM, None, port=18_190)
+        Page(SHOWN, None, port=18_190)
     assert stopped
 
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.messages import Contact, ForceState, Level
-from cablesense_online.page.panel import html
-from cablesense_online.page.snapshot import GUESS_DEG, Score, ShownStatus, Snapshot
+from cablesense_online.page.figures import html
+from cablesense_online.page.snapshot import GUESS_DEG, Score, ShownStatus, Snapshot, Words
+
+WORDS = Words("arm", "segment", ("1", "2", "3", "4"))
 
 
 def contact(segment=2, angle=350.0, newtons=40.0, place_m=0.08):
@@ -24,14 +26,14 @@ def moment(time_s, true, estimated, pose=0.0, state=None):
 
 
 def scored(*moments):
-    score = Score(settling_s=0.0)
+    score = Score(4, settling_s=0.0)
     for one in moments:
         score.add(one)
     return score.errors
 
 
 def test_errors_are_means_over_steady_moments():
-    score = Score(settling_s=1.0)
+    score = Score(4, settling_s=1.0)
     true = [contact(angle=350.0)]
     estimate = [contact(angle=4.0, newtons=41.0, place_m=0.083)]
     for time_s in np.arange(0.0, 3.0, 0.1):
@@ -52,9 +54,9 @@ def test_right_segments_are_counted_under_pushes_alone_and_false_contacts_withou
     errors = scored(*untouched, wrong, right, *ghosts)
     assert (errors.pushed, errors.untouched) == (2, 40)
     assert (errors.segment_right, errors.false_contacts) == (0.5, 0.25)
-    shown = html("figures", None, errors, 4)
+    shown = html("figures", None, errors, WORDS)
     assert "over 2 moments of pushes at rest; untouched, 25.0 % of 40 showed a contact" in shown
-    assert "over 0 moments of pushes" in html("figures", None, scored(), 4)
+    assert "over 0 moments of pushes" in html("figures", None, scored(), WORDS)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,9 @@
-"""The state of a running arm as the page shows it, from the contract's messages, duck-typed."""
+"""The state of a running machine as the page shows it, from the messages, duck-typed."""
 
 from __future__ import annotations
 
 import math
 import threading
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +19,10 @@ from cablesense_msgs_py.messages import (
     breath_turn,
     joint_command_rad,
     read_force_state,
-    read_load,
     read_region,
 )
-from cablesense_msgs_py.topics import Frames
 from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
     CommissioningProgress,
@@ -34,13 +32,9 @@ from cablesense_online.page.snapshot import (
     Snapshot,
     headline,
 )
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import checked_command
+from cablesense_online.placed_links import PlacedLinks, frames_of
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_sim.kinematics import chain, segment_rotations
-from cablesense_sim.loads import LoadError, contact_of_wrench, normal_force_n
-from cablesense_sim.touch import touched_places
+from cablesense_sim.loads import LoadError
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
@@ -85,37 +79,42 @@ class _Wrench(NamedTuple):
     torque_n_m: Array
 
 
-class LiveArm:
+class LiveMachine:
     """Takes messages and gives a Snapshot of the present; safe to call from several threads.
 
     Times are of one monotonic clock, s. Tensions of others than the `tension_publisher` are an
     error.
+
+    Attributes:
+        shown: the machine.
+        frames: of the messages.
     """
 
     def __init__(
         self,
-        arm: Arm,
+        shown: ShownMachine,
         *,
         joint_speed_rad_s: float,
         frame_prefix: str = "",
         estimator: str = "estimator",
         commissioner: str = "commissioner",
     ) -> None:
-        self.mechanism = mechanism_of(arm)
-        self._reach_m = touched_places(arm).touched_m
-        self.frames = Frames(arm.segment_count, frame_prefix)
+        felt = shown.felt
+        self.shown = shown
+        self.frames = frames_of(felt, frame_prefix)
         self.tension_publisher = FollowedPublisher()
+        self._placed = PlacedLinks(felt.link_frames)
         self._estimator = estimator
         self._commissioner = commissioner
-        length_m = self.mechanism.segment_length_m
-        self._ends_m = np.concatenate([[0.0], np.cumsum(length_m)])
-        self._cables = NamedOrder(arm.cable_names, "cables")
-        self._joints = NamedOrder(arm.joint_names, "joints")
-        self._motion = JointMotion.at_rest(np.zeros(arm.joint_count), joint_speed_rad_s)
+        among_others = felt.reads_joints
+        self._channels = NamedOrder(felt.channels.names, "cables", among_others=among_others)
+        self._joints = NamedOrder(felt.torque_names, "joints", among_others=among_others)
+        self._commands = NamedOrder(felt.command_names, "joints")
+        self._motion = JointMotion.at_rest(felt.first_command, joint_speed_rad_s)
         self._motion_s: float | None = None
         self._came_s: dict[str, float] = {}  # time of the last message by topic
-        self._tensions_n: Array | None = None
-        self._joint_angles_rad: Array | None = None
+        self._readings: Array | None = None
+        self._measured: Array | None = None
         self._probabilities: Array | None = None
         self._state = ForceState.SILENT
         self._loads: dict[int, Load] = {}
@@ -129,29 +128,31 @@ class LiveArm:
         """Take a message of a topic as `cablesense_msgs_py.topics` names it.
 
         Raises:
-            CableSenseError: it breaks the contract, or commands what the arm cannot do.
+            CableSenseError: it breaks the contract, or commands what the machine cannot do.
         """
         with self._lock:
             match topic:
                 case topics.CABLE_TENSIONS:
-                    self._tensions_n = self._cables.arrange(message.name, message.effort, "effort")
+                    self._readings = self._channels.arrange(message.name, message.effort, "effort")
                 case topics.JOINT_STATES:
-                    self._joint_angles_rad = self._joints.arrange(
+                    self._measured = self._joints.arrange(
                         message.name, message.position, "position"
                     )
                 case topics.JOINT_COMMANDS if breath_turn(message) is None:
                     # a breath leaves the pose at which contact angles are counted
-                    command = joint_command_rad(message, self._joints, self._motion.target_rad)
-                    checked = checked_command(self.mechanism, command)
+                    largest = self.shown.felt.largest_command
+                    target = self._motion.target_rad
+                    command = joint_command_rad(message, self._commands, target, largest)
+                    checked = self.shown.checked_command(command)
                     self._motion = self._motion.towards(checked)
                 case topics.APPLIED_WRENCH:
-                    load = read_load(message, self.frames, self._contact_of)
+                    load = self.shown.read_load(message, self.frames, self._pose)
                     self._loads[load.segment] = load
                 case topics.STATUS:
                     self._state, _ = read_force_state(message)
                 case topics.CONTACT_PROBABILITIES:
                     probabilities = np.asarray(message.data, dtype=float)
-                    if len(probabilities) == self.mechanism.segment_count + 1:
+                    if len(probabilities) == self.frames.segment_count + 1:
                         self._probabilities = probabilities
                 case topics.CONTACT_REGION:
                     self._region = self._covered(*read_region(message, self.frames))
@@ -166,7 +167,7 @@ class LiveArm:
         force, torque = (np.array([vector.x, vector.y, vector.z]) for vector in vectors)
         acts = np.abs([force, torque]).max() > 0.0
         segment = self.frames.segment_number(message.header.frame_id) if acts else 0
-        return _Wrench(segment, force, torque)
+        return _Wrench(segment, *self._placed.wrench_on_axis(segment, force, torque))
 
     def _take_diagnostics(self, message: Any, now_s: float) -> None:
         for status in message.status:
@@ -179,27 +180,24 @@ class LiveArm:
             elif node.strip("/") == self._commissioner and part:
                 self._commissioning = health
 
-    def _covered(self, segment: int, low_m: float, high_m: float) -> tuple[PlaceInterval, ...]:
-        """What an interval of places covers of each segment, straight on beyond its ends."""
-        from_base_m = float(self._ends_m[segment - 1])
-        covered = []
-        for n, (begin_m, end_m) in enumerate(pairwise(self._ends_m.tolist()), start=1):
-            # the ends of the arm are as good as what lies beyond them
-            first_m = min(max(from_base_m + low_m, begin_m), end_m)
-            last_m = min(max(from_base_m + high_m, begin_m), end_m)
-            if last_m > first_m or n == segment:
-                covered.append(PlaceInterval(n, first_m - begin_m, last_m - begin_m))
-        return tuple(covered)
-
-    def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
-        pose = self._pose_rad
-        return contact_of_wrench(self.mechanism, pose, self._reach_m, force_n, torque_n_m)
+    def _covered(self, segment: int, ends_m: Array) -> tuple[PlaceInterval, ...]:
+        """What an interval of places between two points (2, 3) of a link's frame covers."""
+        low_m, high_m = sorted(self._placed.place_m(segment, end_m) for end_m in ends_m)
+        return self.shown.covered(segment, low_m, high_m)
 
     @property
-    def _pose_rad(self) -> Array:
-        """(2N,) where the arm is measured to be, else where it is commanded."""
-        measured = self._joint_angles_rad
-        return self._motion.angle_rad if measured is None else measured
+    def _pose(self) -> Array:
+        """(T,) where the machine is measured to be, else where its command leaves it."""
+        if self._measured is not None:
+            return self._measured
+        return self.shown.pose_of(self._motion.angle_rad)
+
+    @property
+    def _frame_pose(self) -> Array:
+        """(T,) the pose in whose axes contacts are."""
+        felt = self.shown.felt
+        pose = self._pose
+        return felt.frame_pose(pose if felt.reads_joints else self._motion.angle_rad, pose)
 
     def reports_ok(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
@@ -218,7 +216,7 @@ class LiveArm:
         return latest.message
 
     def loads_of(self, contact: Contact, *, beside: bool = False) -> list[Load]:
-        """The loads that make this push the only one on the arm, or one more of several.
+        """The loads that make this push the only one on the machine, or one more of several.
 
         Segment 0 is no push.
 
@@ -226,38 +224,37 @@ class LiveArm:
             LoadError: no such segment or place, or numbers that are not finite.
         """
         with self._lock:
-            command = self._motion.angle_rad
+            frame_pose = self._frame_pose
             others = {} if beside else self._loads
             pushed = {number for number, load in others.items() if load.force_base_n.any()}
-        segment, angle_deg, magnitude_n, place_m, along_n, _ = contact
-        forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
+        segment, _, magnitude_n, place_m, along_n, _ = contact
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
         if not segment:
             return released
-        length_m = self.mechanism.segment_length_m[segment - 1]
-        if not (0.0 <= place_m <= length_m and math.isfinite(along_n)):
+        words = self.shown.words
+        count = len(words.links)
+        if not 1 <= segment <= count:
+            raise LoadError(f"{words.link} {segment}; it must be a number from 1 to {count}")
+        local_n = np.array(contact.wrench[:3])
+        if not (np.isfinite(local_n).all() and magnitude_n >= 0.0):
             raise LoadError(
-                f"a push of {along_n} N along segment {segment}, at {place_m} m; both must be "
-                f"finite, and the place from 0 to {length_m:g} m"
+                f"a push of {magnitude_n} N, and {along_n} N along {words.of_link(segment)}; both "
+                "must be finite, and the first from 0 up"
             )
-        axis = segment_rotations(self.mechanism, command)[segment - 1, :, 0]
-        return [*released, Load(segment, forces[segment - 1] + along_n * axis, place_m)]
+        first_m, last_m = self.shown.touched_m[segment - 1].tolist()
+        if not first_m <= place_m <= last_m:
+            raise LoadError(
+                f"a push on {words.of_link(segment)}, at {place_m} m; it is touched from "
+                f"{first_m:g} to {last_m:g} m"
+            )
+        axes = self.shown.links_at(frame_pose).axes[segment - 1]
+        return [*released, Load(segment, axes @ local_n, place_m)]
 
-    def torque_n_m(self, load: Load) -> Array | None:
-        """(3,) of a load about the base frame's origin, by which it states its place.
-
-        None for a load that acts at the contact point of its segment, or has no place: an axial
-        one and one of zero.
-        """
-        n = load.segment - 1
+    def load_frame(self, load: Load) -> tuple[str, Array]:
+        """The frame of the message of a load, and the torque (3,) that states its place."""
         with self._lock:
-            pose = chain(self.mechanism, self._pose_rad)
-        axis = pose.rotation[n, :, 0]
-        lateral_n = _norm(np.cross(axis, load.force_base_n))
-        usual_m = self.mechanism.contact_m[n]
-        if load.contact_m is None or load.contact_m == usual_m or lateral_n < _LEAST_FELT_N:
-            return None
-        return np.cross(pose.joint_m[n] + load.contact_m * axis, load.force_base_n)
+            pose = self._pose
+        return self.shown.load_frame(load, self.frames, pose)
 
     def snapshot(self, now_s: float) -> Snapshot:
         """The present state, as far as it is known."""
@@ -265,19 +262,19 @@ class LiveArm:
             elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
             self._motion_s = now_s
             self._motion = self._motion.after(elapsed_s)
-            command = self._motion.angle_rad
+            frame_pose = self._frame_pose
             state = self._state if self._fresh(topics.STATUS, now_s) else ForceState.SILENT
             estimated = self._estimated(now_s) if state in IN_CONTACT else ()
             moment = self._moment(now_s) if state in IN_CONTACT else None
             bounds = self._bounds(now_s) if state in _BOUNDED else None
             located = state in IN_CONTACT and self._fresh(topics.CONTACT_REGION, now_s)
-            said = headline(state, estimated, bounds, moment)
+            said = headline(state, estimated, bounds, moment, self.shown.words)
             return Snapshot(
                 time_s=self._came_s.get(topics.CABLE_TENSIONS, now_s),
-                joint_angles_rad=self._pose_rad,
-                command_rad=command,
-                tensions_n=self._tensions_n,
-                true=self._true(command),
+                pose=self._pose,
+                frame_pose=frame_pose,
+                readings=self._readings,
+                true=self._true(frame_pose),
                 state=state,
                 estimated=estimated,
                 bounds=bounds,
@@ -285,12 +282,12 @@ class LiveArm:
                 status=self._status(state, said, now_s),
                 moment=moment,
                 region=self._region if located else (),
-                arm_known=self._known(now_s),
+                machine_known=self._known(now_s),
                 commissioning=self._commissioning_progress(now_s),
             )
 
     def _known(self, now_s: float) -> str:
-        """How well the estimator says that it knows its arm."""
+        """How well the estimator says that it knows its machine."""
         latest = self._health.get("tare")
         if latest is None or latest.level is not Level.OK or not _is_recent(latest, now_s):
             return ""
@@ -308,20 +305,26 @@ class LiveArm:
     def _fresh(self, topic: str, now_s: float) -> bool:
         return now_s - self._came_s.get(topic, -math.inf) <= STALE_S
 
-    def _true(self, command_rad: Array) -> tuple[Contact, ...]:
-        rotations = segment_rotations(self.mechanism, command_rad)
-        felt = []
-        for n, load in self._loads.items():
-            usual_m = float(self.mechanism.contact_m[n - 1])
+    def _true(self, frame_pose: Array) -> tuple[Contact, ...]:
+        loads = {
+            number: load
+            for number, load in self._loads.items()
+            if _norm(load.force_base_n) >= _LEAST_FELT_N
+        }
+        if not loads:
+            return ()
+        axes = self.shown.links_at(frame_pose).axes
+        contacts = []
+        for number, load in loads.items():
+            usual_m = float(self.shown.usual_m[number - 1])
             place_m = usual_m if load.contact_m is None else load.contact_m
-            if _norm(load.force_base_n) >= _LEAST_FELT_N:
-                force_n = (load.force_base_n @ rotations[n - 1]).tolist()
-                felt.append(Contact.of_force(n, force_n, place_m))
-        return _strongest_first(felt)
+            force_n = (load.force_base_n @ axes[number - 1]).tolist()
+            contacts.append(Contact.of_force(number, force_n, place_m))
+        return _strongest_first(contacts)
 
     def _estimated(self, now_s: float) -> tuple[Contact, ...]:
-        """Contacts of all segments, from a model of several contacts; else the one contact."""
-        numbers = range(1, self.mechanism.segment_count + 1)
+        """Contacts of all links, from a model of several contacts; else the one contact."""
+        numbers = range(1, self.frames.segment_count + 1)
         several = [topics.SEGMENT_WRENCHES.format(number) for number in numbers]
         return self._pushing(several, now_s) or self._pushing([topics.WRENCH], now_s)
 
@@ -378,11 +381,11 @@ class LiveArm:
         return status
 
     def _waiting(self, now_s: float) -> ShownStatus | None:
-        """The status until tensions and estimates come."""
-        if self._tensions_n is None:
+        """The status until readings and estimates come."""
+        if self._readings is None:
             return ShownStatus(Level.STALE, "Waiting for cable_tensions")
         if (age_s := now_s - self._came_s[topics.CABLE_TENSIONS]) > STALE_S:
-            return ShownStatus(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
+            return ShownStatus(Level.STALE, f"Readings are stale, {age_s:.1f} s old")
         if topics.STATUS not in self._came_s:
             return ShownStatus(Level.STALE, "Waiting for the estimator")
         return None

@@ -1,4 +1,4 @@
-"""A client of a running arm: takes its messages, sends commands and loads."""
+"""A client of a running machine: takes its messages, sends commands and loads."""
 
 from __future__ import annotations
 
@@ -17,20 +17,18 @@ from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import Contact, put_joint_angles
 from cablesense_online.followed_publisher import FollowedPublisher
-from cablesense_online.page.live_arm import LiveArm
+from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.shown import ShownMachine
 from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
-from cablesense_sim.arm import Arm
-from cablesense_sim.equilibrium import checked_command
 
 
-class ArmClient:
-    """Feeds a `LiveArm` with every message, and publishes what a person or a script asks for."""
+class MachineClient:
+    """Feeds a `LiveMachine` with messages, and publishes what a person or a script asks for."""
 
     def __init__(
         self,
         node: Node,
-        arm: Arm,
-        live: LiveArm,
+        live: LiveMachine,
         estimator: str,
         readers: Collection[str] = ("sim", "estimator"),
     ) -> None:
@@ -41,7 +39,7 @@ class ArmClient:
         self._node = node
         self._readers = frozenset(readers)
         self._live = live
-        self._joint_names = list(arm.joint_names)
+        self._command_names = list(live.shown.felt.command_names)
         inputs: tuple[tuple[type, str, qos.Qos], ...] = (
             (JointState, topics.CABLE_TENSIONS, qos.SENSOR),
             (JointState, topics.JOINT_STATES, qos.SENSOR),
@@ -56,7 +54,7 @@ class ArmClient:
             (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND),
             *(
                 (WrenchStamped, topics.SEGMENT_WRENCHES.format(number), qos.SENSOR)
-                for number in range(1, arm.segment_count + 1)
+                for number in range(1, live.frames.segment_count + 1)
             ),
         )
         refuse = RefusalLog(node)
@@ -80,20 +78,20 @@ class ArmClient:
         endpoints = self._node.get_subscriptions_info_by_topic(topic)
         return self._readers <= {endpoint.node_name for endpoint in endpoints}
 
-    def command(self, joint_angles_rad: Array) -> None:
-        """Send joint angles (2N,).
+    def command(self, command: Array) -> None:
+        """Send a command (C,).
 
         Raises:
-            EquilibriumError: not finite, or a bend at which guide plates would touch.
+            CableSenseError: the machine cannot take it; see `ShownMachine.checked_command`.
         """
-        command = checked_command(self._live.mechanism, joint_angles_rad)
-        message = JointState(name=self._joint_names)
+        checked = self._live.shown.checked_command(command)
+        message = JointState(name=self._command_names)
         message.header.stamp = self._node.get_clock().now().to_msg()
-        put_joint_angles(message, command)
+        put_joint_angles(message, checked)
         self._commands.publish(message)
 
     def push(self, contact: Contact, beside: bool = False) -> None:
-        """Put one load on the arm, in place of others or, with `beside`, in addition to them.
+        """Put one load on the machine, in place of others or, with `beside`, in addition to them.
 
         0 N or segment 0 releases.
 
@@ -103,13 +101,24 @@ class ArmClient:
         for load in self._live.loads_of(contact, beside=beside):
             message = WrenchStamped()
             message.header.stamp = self._node.get_clock().now().to_msg()
-            message.header.frame_id = self._live.frames.segment(load.segment)
-            torque_n_m = self._live.torque_n_m(load)
-            if torque_n_m is not None:
-                message.header.frame_id = self._live.frames.base
-                _put(message.wrench.torque, torque_n_m)
+            frame, torque_n_m = self._live.load_frame(load)
+            message.header.frame_id = frame
+            _put(message.wrench.torque, torque_n_m)
             _put(message.wrench.force, load.force_base_n)
             self._loads.publish(message)
+
+
+def command_readers(shown: ShownMachine, estimator: str, *, commissioner: bool) -> list[str]:
+    """Names of the nodes that read commands once all are up.
+
+    The estimator of a machine whose joints are measured reads none.
+    """
+    readers = ["sim"]
+    if not shown.felt.reads_joints:
+        readers.append(estimator.split("/")[-1])
+    if commissioner:
+        readers.append("commissioner")
+    return readers
 
 
 def _put(vector: Any, numbers: Array) -> None:

@@ -5,8 +5,9 @@ from contextlib import ExitStack
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from cablesense_online.page.live_arm import LiveArm
-from cablesense_ros.arm_client import ArmClient
+from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.shown_arm import ShownArm
+from cablesense_ros.machine_client import MachineClient
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
@@ -20,8 +21,8 @@ def reader(name, stack):
 
 
 def test_other_readers_do_not_stand_for_those_that_are_awaited(graph):
-    live = LiveArm(ARM, joint_speed_rad_s=0.35)
-    client = ArmClient(graph.node, ARM, live, "estimator", ["sim", "estimator"])
+    live = LiveMachine(ShownArm(ARM), joint_speed_rad_s=0.35)
+    client = MachineClient(graph.node, live, "estimator", ["sim", "estimator"])
     with ExitStack() as stack:
         for name in ("sim", "plotter", "echo"):
             reader(name, stack)

@@ -8,7 +8,8 @@ import pytest
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Contact, ForceState, Level
-from cablesense_online.page.live_arm import STALE_S, LiveArm
+from cablesense_online.page.live_machine import STALE_S, LiveMachine
+from cablesense_online.page.shown_arm import ShownArm
 from cablesense_online.page.snapshot import ForceBounds, PlaceInterval
 from cablesense_sim.arm import open_arm
 
@@ -18,7 +19,7 @@ TENSIONS = Message(name=list(ARM.cable_names), effort=[50.0] * 12)
 
 @pytest.fixture
 def live():
-    return LiveArm(ARM, joint_speed_rad_s=1.0)
+    return LiveMachine(ShownArm(ARM), joint_speed_rad_s=1.0)
 
 
 def vector(x, y, z):
@@ -53,8 +54,9 @@ def push(live, *message):
 def test_a_push_makes_the_true_contact_that_was_asked_for(live):
     contact = Contact(3, 120.0, 40.0, 0.065, 8.0)
     (load,) = live.loads_of(contact)
-    assert live.torque_n_m(load) is None  # at the contact point
-    (true,) = push(live, "segment_3", load.force_base_n)
+    frame, torque_n_m = live.load_frame(load)
+    assert frame == "segment_3"  # at the contact point
+    (true,) = push(live, frame, load.force_base_n, torque_n_m)
     assert true[:5] == pytest.approx(contact[:5])
 
 
@@ -66,10 +68,12 @@ def test_a_push_anywhere_comes_back_from_its_wrench_about_the_base(live, bent):
         live.take(topics.JOINT_COMMANDS, command(0.05), 0.0)
     contact = Contact(2, 200.0, 30.0, 0.11, -5.0)
     (load,) = live.loads_of(contact)
-    (true,) = push(live, "base_link", load.force_base_n, live.torque_n_m(load))
+    frame, torque_n_m = live.load_frame(load)
+    assert frame == "base_link"
+    (true,) = push(live, frame, load.force_base_n, torque_n_m)
     assert true[:5] == pytest.approx(contact[:5])
     for numbers in ((2, 0.0, 1.0, 0.2, 0.0), (2, 0.0, 1.0, 0.1, np.nan), (2, 0.0, 1.0, np.nan, 0)):
-        with pytest.raises(CableSenseError, match="along segment 2"):
+        with pytest.raises(CableSenseError, match=r"segment 2"):
             live.loads_of(Contact(*numbers))
 
 
@@ -93,7 +97,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(live):
         live.take(topics.JOINT_COMMANDS, command(0.6), 0.0)
     live.snapshot(0.0)
     assert live.snapshot(30.0).true == ()
-    assert not live.snapshot(30.0).joint_angles_rad.any()
+    assert not live.snapshot(30.0).pose.any()
 
 
 def test_contacts_of_several_segments_are_shown_and_old_ones_are_not(live):
@@ -116,7 +120,7 @@ def test_an_estimate_is_in_the_axes_of_the_commanded_pose(live):
     shown = live.snapshot(30.0)
     (estimate,) = shown.estimated
     assert estimate.angle_deg == pytest.approx(0.0)
-    np.testing.assert_allclose(shown.command_rad, [np.pi / 6, *[0.0] * 7], atol=1e-12)
+    np.testing.assert_allclose(shown.frame_pose, [np.pi / 6, *[0.0] * 7], atol=1e-12)
 
 
 def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
@@ -128,7 +132,7 @@ def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
     assert (later.estimated, later.state) == ((), ForceState.SILENT)
     assert later.status.level is Level.STALE
     assert "silent" in later.status.headline
-    assert "Tensions are stale" in live.snapshot(3.0).status.headline
+    assert "Readings are stale" in live.snapshot(3.0).status.headline
 
 
 @pytest.mark.parametrize("state", [each for each in ForceState if not each.known])
@@ -236,13 +240,13 @@ def test_the_sentence_of_a_refusal_is_shown_in_place_of_its_kind(live):
 
 def test_how_well_the_arm_is_known_is_shown_while_it_is(live):
     receive(live, ForceState.FREE, 1.0)
-    assert live.snapshot(1.0).arm_known == ""
+    assert live.snapshot(1.0).machine_known == ""
     diagnose(live, "estimator: tare", Level.OK, "known by 1 tare")
-    assert live.snapshot(1.0).arm_known == "known by 1 tare"
-    assert live.snapshot(9.0).arm_known == ""
+    assert live.snapshot(1.0).machine_known == "known by 1 tare"
+    assert live.snapshot(9.0).machine_known == ""
     diagnose(live, "estimator: tare", Level.WARN, "it is not as described")
     shown = live.snapshot(1.0)
-    assert shown.arm_known == ""
+    assert shown.machine_known == ""
     assert shown.status.notes == ("it is not as described",)
 
 
