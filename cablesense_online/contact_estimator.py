@@ -125,6 +125,7 @@ class ContactEstimator:
         )
         self._joint_order = NamedOrder(machine.command_names, "joints")
         self._limits = ReadingLimits(machine.channels)
+        self._units = machine.channels.units
         self._joint_m = machine.joint_m
         self._contact_m = machine.contact_m
         self._settle_ns = round(settings.settle_s * 1e9)
@@ -161,7 +162,7 @@ class ContactEstimator:
             self._limits.check(readings_n)
         except CableSenseError as error:
             return state, refused(_as_problem(error, ProblemKind.NAMES), stamp_ns)
-        slack = slack_cables(readings_n, self.settings.slack_below_n)
+        slack = slack_cables(readings_n, self._units, self.settings.slack_below_n)
         if state.motion.shut:
             state = replace(state, moments=RecentMoments())
             return state, Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, slack_cables=slack)

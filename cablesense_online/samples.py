@@ -96,12 +96,17 @@ def _plausible(unit: str) -> tuple[float, float]:
     return PLAUSIBLE_N if unit == "N" else PLAUSIBLE_N_M
 
 
-def slack_cables(tensions_n: Sequence[float], slack_below_n: float) -> tuple[int, ...]:
-    """Numbers, from 1, of the cables whose readings (M,), N, are below a limit."""
-    if min(tensions_n) >= slack_below_n:
+def slack_cables(
+    readings: Sequence[float], units: Sequence[str], slack_below_n: float
+) -> tuple[int, ...]:
+    """Numbers, from 1, of the cables whose readings (M,), N, are below a limit.
+
+    Channels of other units (M) are no cables: torques may be negative.
+    """
+    if min(readings) >= slack_below_n:
         return ()
-    numbered = enumerate(tensions_n, start=1)
-    return tuple(number for number, tension in numbered if tension < slack_below_n)
+    numbered = enumerate(zip(readings, units, strict=True), start=1)
+    return tuple(n for n, (reading, unit) in numbered if unit == "N" and reading < slack_below_n)
 
 
 @dataclass(frozen=True)

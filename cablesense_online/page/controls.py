@@ -81,7 +81,7 @@ class Controls:
             self._place = gui.add_slider(
                 "place, mm",
                 *(nearest_mm, farthest_mm, 1.0),
-                float(np.clip(1e3 * shown.usual_m[-1], nearest_mm, farthest_mm)),
+                float(np.clip(round(1e3 * shown.usual_m[-1]), nearest_mm, farthest_mm)),
                 hint=f"along the {self._words.link}; a click on it sets it, too",
             )
             self._angle = gui.add_slider(

@@ -83,9 +83,9 @@ def places_text(region: Sequence[PlaceInterval], words: Words) -> str:
     return f"{low_mm:.0f} mm of {first} to {high_mm:.0f} mm of {last}"
 
 
-def reading_text(value: float, least: float) -> str:
-    """A reading with as many decimals as matter on a scale that covers at least so much."""
-    decimals = min(2, max(0, 2 - math.floor(math.log10(least))))
+def reading_text(value: float, full_scale: float) -> str:
+    """A reading with as many decimals as matter on such a scale."""
+    decimals = min(2, max(0, 2 - math.floor(math.log10(full_scale))))
     return (
         f"{value:.{decimals}f}" if abs(value) >= 0.5 * 10.0**-decimals else f"{0.0:.{decimals}f}"
     )

@@ -62,11 +62,12 @@ class _ReadingFigures:
     def draw(self, readings: Array | None) -> None:
         """Shows what has been kept, and these numbers (M,)."""
         values = self.values(readings)
-        self._numbers.content = html("readings", self.panel, self._lines, values)
+        scale = self.full_scale()
+        self._numbers.content = html("readings", self.panel, self._lines, values, scale)
         self.trace.draw()
 
-    def full_scale_n(self) -> float:
-        """The round reading that covers all that are shown."""
+    def full_scale(self) -> float:
+        """The round reading, in the panel's unit, that covers all that are shown."""
         return full_scale_n(self.trace.buffer.peak, self.panel.least)
 
 
@@ -261,7 +262,7 @@ class Page:
             return
         if 0.0 < self._kept_until_s < time.monotonic():
             self._assign_controls()
-        scale_n = self._readings[0].full_scale_n()
+        scale_n = self._readings[0].full_scale()
         with self._server.atomic():
             self._scene.show(snapshot, scale_n)
         if time.monotonic() < self._figures_due_s:

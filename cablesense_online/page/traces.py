@@ -45,8 +45,8 @@ class TraceBuffer:
 
     @property
     def peak(self) -> float:
-        """The largest value kept, 0 before the first."""
-        return float(max((row[1:].max() for row in self._rows), default=0.0))
+        """The largest size of a value kept, 0 before the first."""
+        return float(max((np.abs(row[1:]).max() for row in self._rows), default=0.0))
 
     @property
     def columns(self) -> tuple[Array, ...]:
@@ -150,12 +150,16 @@ class NamedLine(NamedTuple):
 
 
 def reading_lines(panel: ReadingPanel) -> list[NamedLine]:
-    """The line of each reading of a panel, in its order; a colour for each group."""
+    """The line of each reading of a panel, in its order.
+
+    A group has a colour of its own, and the next one once there are no more dashes.
+    """
     headings = list(dict.fromkeys(panel.groups))
     lines: list[NamedLine] = []
     for name, group in zip(panel.names, panel.groups, strict=True):
         of_group = sum(line.group == group for line in lines)
-        colour = css(segment_rgb(1 + headings.index(group)))
+        number = 1 + headings.index(group) + of_group // len(_DASHES)
+        colour = css(segment_rgb(number))
         lines.append(NamedLine(name, group, colour, _DASHES[of_group % len(_DASHES)]))
     return lines
 
