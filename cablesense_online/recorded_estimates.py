@@ -54,7 +54,7 @@ def recorded_answers(
     ):
         stamp_ns = _BEGIN_NS + round(time_s * 1e9)
         if last_rad is None or not np.array_equal(command_rad, last_rad):
-            estimation.command(_command(machine.command_names, command_rad, stamp_ns))
+            estimation.command(command_message(machine.command_names, command_rad, stamp_ns))
             last_rad = command_rad
         raw = writer.write(stamp_ns, reading_n.tolist())
         yield RecordedAnswer(time_s, estimation.sample(raw, stamp_ns, stamp_ns * 1e-9))
@@ -75,7 +75,7 @@ def require_tare(answers: list[RecordedAnswer], count: int) -> None:
         )
 
 
-def _command(names: tuple[str, ...], angles_rad: Array, stamp_ns: int) -> SimpleNamespace:
+def command_message(names: tuple[str, ...], angles_rad: Array, stamp_ns: int) -> SimpleNamespace:
     """A `JointState` of commands, or of measured positions, without ROS."""
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     stamp = SimpleNamespace(sec=sec, nanosec=nanosec)

@@ -23,6 +23,7 @@ from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info, urdf
 from cablesense_ros.cli.machine import machine
+from cablesense_ros.cli.picture import picture
 from cablesense_ros.cli.runs import demo, record, replay
 from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import dataset, train
@@ -38,7 +39,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 _VERBS = (
-    *(demo, machine, export, estimate, info, urdf, calibrate, record, replay),
+    *(demo, machine, export, estimate, picture, info, urdf, calibrate, record, replay),
     *(dataset, train, evaluate),
 )
 for verb in _VERBS:

@@ -80,8 +80,11 @@ def test_readings_that_no_cable_carries_are_refused_by_cable(cable, range_n, ten
 
 def test_slack_cables_are_named_and_no_fault():
     limits(None).check(changed(3, -1.0))
-    assert slack_cables(changed(3, -1.0), 1.0) == (3,)
-    assert slack_cables(GOOD, 1.0) == ()
+    units = ["N"] * len(GOOD)
+    assert slack_cables(changed(3, -1.0), units, 1.0) == (3,)
+    assert slack_cables(GOOD, units, 1.0) == ()
+    units[2] = "N·m"
+    assert slack_cables(changed(3, -1.0), units, 1.0) == ()
 
 
 def status(counts, now_s, missing=0, publishers=1):
