@@ -22,7 +22,7 @@ HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --cust
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site reference tutorial models messages lock verify man dist clean
+.PHONY: help demo test test-fast lint setup site reference tutorial gallery models messages lock verify man dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -71,6 +71,9 @@ reference: setup  ## docs/ros_reference.md again, its tables of topics and param
 
 tutorial: setup build/mypy  ## docs/tutorial.md again, with what its commands print; some minutes
 	@$(BIN)/python .ci/tutorial
+
+gallery: setup build/mypy  ## draws the pictures of docs/gallery.md again
+	@PYTHONPATH=build/mypy $(BIN)/python .ci/gallery.py
 
 models: setup  ## makes every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh

@@ -16,6 +16,7 @@ from cablesense_ros.processes import free_domain
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["MPLBACKEND"] = "Agg"
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported: it draws without a window
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other on a busy core
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(free_domain())

@@ -45,6 +45,8 @@ _CLEARANCE = 1.1
 _VIEW_ANGLE_DEG = 35.0
 _DISTANCE = 1.4
 """From the camera to the machine's middle, in sizes of the machine."""
+_LOOK_ABOVE = 0.1
+"""Above the machine's middle the camera looks, where arrows and text are."""
 _AZIMUTH_DEG = 102.0
 _ELEVATION_DEG = -24.0
 _OVERSAMPLING = 2
@@ -115,6 +117,7 @@ def _camera(shown: ShownMachine) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
     camera.lookat[:] = shown.extent.look_at_m
+    camera.lookat[2] += _LOOK_ABOVE * shown.extent.reach_m
     camera.distance = _DISTANCE * shown.extent.reach_m
     camera.azimuth = _AZIMUTH_DEG
     camera.elevation = _ELEVATION_DEG

@@ -10,8 +10,11 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Contact, ForceState, Level
 from cablesense_online.page.live_machine import STALE_S, LiveMachine
 from cablesense_online.page.shown_arm import ShownArm
+from cablesense_online.page.shown_model import ShownModel
 from cablesense_online.page.snapshot import ForceBounds, PlaceInterval
+from cablesense_online.placed_links import PlacedLinks
 from cablesense_sim.arm import open_arm
+from tests.helpers.example_machines import example_machine
 
 ARM = open_arm("cdsm")
 TENSIONS = Message(name=list(ARM.cable_names), effort=[50.0] * 12)
@@ -20,6 +23,13 @@ TENSIONS = Message(name=list(ARM.cable_names), effort=[50.0] * 12)
 @pytest.fixture
 def live():
     return LiveMachine(ShownArm(ARM), joint_speed_rad_s=1.0)
+
+
+@pytest.fixture(params=["finger", "continuum", "six_axis"])
+def live_model(request):
+    """A machine with commanded joints, with commanded actuators, and with measured joints."""
+    shown = ShownModel(example_machine(request.param))
+    return LiveMachine(shown, joint_speed_rad_s=1.0)
 
 
 def vector(x, y, z):
@@ -75,6 +85,48 @@ def test_a_push_anywhere_comes_back_from_its_wrench_about_the_base(live, bent):
     for numbers in ((2, 0.0, 1.0, 0.2, 0.0), (2, 0.0, 1.0, 0.1, np.nan), (2, 0.0, 1.0, np.nan, 0)):
         with pytest.raises(CableSenseError, match=r"segment 2"):
             live.loads_of(Contact(*numbers))
+
+
+def test_a_push_on_a_link_comes_back_from_its_message_wherever_the_machine_is(live_model):
+    shown = live_model.shown
+    felt = shown.felt
+    number = len(shown.words.links)
+    pose = shown.pose_of(felt.first_command) + np.linspace(-0.1, 0.1, len(felt.torque_names))
+    states = Message(name=list(felt.torque_names), position=pose.tolist())
+    live_model.take(topics.JOINT_STATES, states, 0.0)
+    place_m = float(shown.touched_m[-1] @ [0.3, 0.7])
+    contact = Contact(number, 200.0, 0.3 * shown.strongest_n, place_m, -0.05 * shown.strongest_n)
+    (load,) = live_model.loads_of(contact)
+    frame, torque_n_m = live_model.load_frame(load)
+    assert frame == shown.words.links[-1]
+    (true,) = push(live_model, frame, load.force_base_n, torque_n_m)
+    assert true[:5] == pytest.approx(contact[:5])
+
+
+def test_an_estimate_in_the_frame_of_a_body_is_shown_along_its_link(live_model):
+    shown = live_model.shown
+    felt = shown.felt
+    number = len(shown.words.links)
+    contact = Contact(number, 75.0, 4.0, float(shown.usual_m[-1]), 0.5)
+    placed = PlacedLinks(felt.link_frames)
+    stated = placed.wrench(number, contact.wrench)
+    ends_m = [placed.point(number, place_m) for place_m in shown.touched_m[-1]]
+    points = [vector(*end_m) for end_m in reversed(ends_m)]
+    frame = shown.words.links[-1]
+    names = list(felt.channels.names)
+    tensions = Message(name=names, effort=[50.0] * len(names))
+    live_model.take(topics.CABLE_TENSIONS, tensions, 1.0)
+    header = Message(stamp=Message(sec=1, nanosec=0))
+    status = Message(header=header, status=[Message(message=ForceState.CONTACT.value)])
+    live_model.take(topics.STATUS, status, 1.0)
+    live_model.take(topics.WRENCH, wrench(frame, stated[:3], stated[3:]), 1.0)
+    polygon = Message(header=Message(frame_id=frame), polygon=Message(points=points))
+    live_model.take(topics.CONTACT_REGION, polygon, 1.0)
+    now = live_model.snapshot(1.0)
+    (estimated,) = now.estimated
+    assert estimated[:5] == pytest.approx(contact[:5])
+    assert now.region == (pytest.approx((number, *shown.touched_m[-1])),)
+    assert now.status.headline == f"Contact on {frame}"
 
 
 def test_a_push_releases_the_previous_one_unless_both_are_wanted(live):
