@@ -16,6 +16,7 @@ from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
     ForceBounds,
+    PlaceInterval,
     ShownStatus,
     Snapshot,
     headline,
@@ -127,7 +128,7 @@ def _snapshot(
     estimated = (stated,) if knows_force else ()
     moment = stated if in_contact and not knows_force else None
     bounds = _force_bounds(answer) if in_contact or answer.force is ForceState.HIDDEN else None
-    region = ()
+    region: tuple[PlaceInterval, ...] = ()
     if in_contact and answer.region_m is not None:
         region = shown.covered(stated.segment, *answer.region_m)
     sentence = headline(answer.force, estimated, bounds, moment, shown.words)

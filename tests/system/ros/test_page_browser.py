@@ -253,8 +253,11 @@ WITHOUT_NOTICES = (
 def machine_tab(browser, tmp_path_factory):
     """A tab with the page of a machine that MuJoCo describes, which nobody estimates."""
     arm = {"arm": str(MACHINES / "finger.yaml")}
-    page = node_command("page", {"port": 18_090, "rate_hz": 5.0} | arm)
-    commands = {"sim": node_command("sim", {"rate_hz": 20.0} | arm), "page": page}
+    apart = {"namespace": "/machine"}
+    commands = {
+        "sim": node_command("sim", {"rate_hz": 20.0} | arm, **apart),
+        "page": node_command("page", {"port": 18_090, "rate_hz": 5.0} | arm, **apart),
+    }
     with Processes(commands, tmp_path_factory.mktemp("machine"), own_graph()) as processes:
         tab = browser.new_tab(processes.wait_for_line("page", "page: ", PATIENCE_S))
         tab.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
