@@ -260,7 +260,9 @@ def machine_tab(browser, tmp_path_factory):
     }
     with Processes(commands, tmp_path_factory.mktemp("machine"), own_graph()) as processes:
         tab = browser.new_tab(processes.wait_for_line("page", "page: ", PATIENCE_S))
+        tab.call("Page.bringToFront")  # what lies behind is not drawn
         tab.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
+        tab.evaluate(WITHOUT_NOTICES)
         yield tab
         tab.close()
 
