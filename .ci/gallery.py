@@ -19,7 +19,7 @@ TOUCHES = {
     "finger": ("distal", 2.5, 215.0),
     "hand": ("index_distal", 2.0, 215.0),
     "seven_hinges": ("link_6", 15.0, 215.0),
-    "continuum": ("link_20", 0.5, 30.0),
+    "continuum": ("link_20", 0.5, 100.0),
     "six_axis": ("tool", 40.0, 215.0),
 }
 """Link, newtons and direction, degrees, by the name of an arm or of a machine file."""
