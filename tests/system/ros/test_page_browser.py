@@ -24,7 +24,7 @@ pytest.importorskip("viser", reason="needs viser: install the extra `page`")
 from PIL import Image
 from websockets.sync.client import connect
 
-from cablesense_ros.processes import ProcessError, Processes, node_command, own_graph
+from cablesense_ros.processes import ProcessError, Processes, free_domain, node_command, own_graph
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.page_visitor import SUBPROTOCOL
 
@@ -253,12 +253,13 @@ WITHOUT_NOTICES = (
 def machine_tab(browser, tmp_path_factory):
     """A tab with the page of a machine that MuJoCo describes, which nobody estimates."""
     arm = {"arm": str(MACHINES / "finger.yaml")}
-    apart = {"namespace": "/machine"}
     commands = {
-        "sim": node_command("sim", {"rate_hz": 20.0} | arm, **apart),
-        "page": node_command("page", {"port": 18_090, "rate_hz": 5.0} | arm, **apart),
+        "sim": node_command("sim", {"rate_hz": 20.0} | arm),
+        "page": node_command("page", {"port": 18_090, "rate_hz": 5.0} | arm),
     }
-    with Processes(commands, tmp_path_factory.mktemp("machine"), own_graph()) as processes:
+    # a domain of its own: Fast DDS may never come back from discovering another participant
+    apart = own_graph() | {"ROS_DOMAIN_ID": str(free_domain.__wrapped__())}
+    with Processes(commands, tmp_path_factory.mktemp("machine"), apart) as processes:
         tab = browser.new_tab(processes.wait_for_line("page", "page: ", PATIENCE_S))
         tab.call("Page.bringToFront")  # what lies behind is not drawn
         tab.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
