@@ -73,7 +73,7 @@ tutorial: setup build/mypy  ## docs/tutorial.md again, with what its commands pr
 	@$(BIN)/python .ci/tutorial
 
 gallery: setup build/mypy  ## draws the pictures of docs/gallery.md again
-	@PYTHONPATH=build/mypy $(BIN)/python .ci/gallery.py
+	@PYTHONPATH=build/mypy $(BIN)/python .ci/gallery
 
 models: setup  ## makes every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
