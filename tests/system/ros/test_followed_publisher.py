@@ -63,13 +63,13 @@ def test_the_page_shows_one_and_says_that_there_is_another(graph):
     MachineClient(graph.node, live, "estimator")
     first = Source(graph, UNLOADED)
     second = Source(graph, PUSHED)
-    until(graph, [first], lambda: live.snapshot(0.0).tensions_n is not None, "tensions")
+    until(graph, [first], lambda: live.snapshot(0.0).readings is not None, "tensions")
     assert live.snapshot(time.monotonic()).status.level is Level.STALE  # no estimator
     shown = set()
 
     def another_is_reported():
         snapshot = live.snapshot(time.monotonic())
-        shown.add(tuple(snapshot.tensions_n))
+        shown.add(tuple(snapshot.readings))
         return snapshot.status.level is Level.ERROR and len(graph.tensions) > 100
 
     until(graph, [first, second], another_is_reported, "an error")
