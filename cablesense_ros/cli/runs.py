@@ -117,7 +117,7 @@ def demo(
     it needs no browser: a script of pushes runs for a minute. A controller that gives way to
     pushes is examples/admittance.py.
 
-    A machine file works likewise, with its links; it has no commissioning, breath or CAN frames.
+    A machine file works likewise, with its links, without commissioning, breath and CAN frames.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     if as_file:
