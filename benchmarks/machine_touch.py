@@ -48,7 +48,10 @@ PUSHED = (0.2, 0.8)
 """Forces that servos aim at, as shares of the largest that a file expects."""
 DAMPING_SHARE = 0.3
 STEPS = 6000
-AT_REST = 1e-6
+AT_REST = 1e-3
+"""Largest force of inertia and dampers over that of the contact: the engine's friction is a damper
+with a limit, so that a rough contact creeps for ever, by however little."""
+_TINY = 1e-12
 LEAST_SHARE = 0.05
 """Of the largest force: a contact is no weaker."""
 COVERAGE = 0.92
@@ -155,6 +158,7 @@ class TouchedMachine:
         )
         self.model = compiled(spec, machine.source.model_path, MachineError)
         self.data = mujoco.MjData(self.model)
+        self._inertial = np.zeros(self.model.nv)
         parameters = MachineParameters(machine)
         self._described = SimulatedMachine(machine, parameters, np.zeros(len(parameters)))
         self._damp()
@@ -198,19 +202,34 @@ class TouchedMachine:
     def _settled(self, untouched: AtRest) -> bool:
         data = self.data
         held = self._machine.coordinates.positions(untouched.pose)
+        restless = np.inf
         for _ in range(STEPS):
             if self._machine.is_measured:
                 data.qpos[:-1] = held
                 data.qvel[:-1] = 0.0
             mujoco.mj_step(self.model, data)
-            speeds = data.qvel[-1:] if self._machine.is_measured else data.qvel
-            if np.abs(speeds).max() < AT_REST:
+            restless = self._restlessness()
+            if restless < AT_REST:
                 break
         if self._machine.is_measured:
             data.qpos[:-1] = held
             data.qvel[:] = 0.0
         mujoco.mj_forward(self.model, data)
-        return data.ncon == 1 and float(np.abs(speeds).max()) < 10.0 * AT_REST
+        return data.ncon == 1 and restless < AT_REST
+
+    def _restlessness(self) -> float:
+        """Force of inertia and dampers over that of the contact: of joints, or of the obstacle."""
+        data = self.data
+        mujoco.mj_mulM(self.model, data, self._inertial, data.qacc)
+        damping = self.model.dof_damping * data.qvel
+        pressing = self.model.actuator("press").id
+        damping[-1] -= self.model.actuator_biasprm[pressing, 2] * data.qvel[-1]
+        moving = np.abs(self._inertial) + np.abs(damping)
+        touching = np.maximum(np.abs(data.qfrc_constraint), _TINY)
+        of_obstacle = float(moving[-1] / touching[-1])
+        if self._machine.is_measured:
+            return of_obstacle
+        return max(of_obstacle, float(moving[:-1].max() / touching[:-1].max()))
 
     def _contact(self, link: int, axes: Array) -> EngineContact | None:
         """Along the axes that the link had at the command, as it was placed then."""

@@ -32,7 +32,7 @@ class LawOutput(NamedTuple):
             the straight arm.
         force_n: (B, 3) mean.
         contact_covariance: (B, 4, 4) of place, m, and force, N.
-        magnitude_ci95_n: (B, 2) interval of the lateral force.
+        magnitude_ci95_n: (B, 2) interval of the lateral force; of a machine's, on whichever link.
         moment_n_m, moment_std_n_m: (B, 2) about the joint centre, around y and z.
         fault_n: (B, M) what each channel reads too much if nothing touches and it is wrong.
         innovation_n: (B, M) reading minus that of the untouched arm.

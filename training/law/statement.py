@@ -68,7 +68,8 @@ class ContactStatement(nn.Module):
         joint_m: (N,) where their frames are along all links.
         torque_scale: (T,) prior deviation of contact torques at the joints, each by itself.
         partly_felt: whether there may be links on which forces in some direction across them make
-            no torque, so that a magnitude is known no better than as that direction allows.
+            no torque. A magnitude is then known no better than as that direction allows, and as
+            the link is: a moment is told, and on each link another force makes it.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class ContactStatement(nn.Module):
         self.around_axes = constant(np.array([[0.0, 1.0], [-1.0, 0.0]]))
         self.moment_variances = constant(np.array([35, 28]))
         self.lateral_variances = constant(np.array([5, 9]))
+        self.lateral_entries = constant(np.array([4, 8]))
         self.grid_shape = (-1, 20, PLACES)
 
     def forward(self, seen: Evidence) -> Statement:
@@ -129,8 +131,9 @@ class ContactStatement(nn.Module):
         mean_within = torch.cat([within, moment_variance], dim=1) @ weight.transpose(1, 2)
         mean_within = (mean_within.transpose(1, 2) @ self.to_covariance).reshape(-1, 6, 6)
         spread = (offsets * weight) @ offsets.transpose(1, 2) + mean_within
+        magnitudes = weight, squared, variance
         if self.partly_felt:
-            squared, variance = _with_aside(squared, variance, within, self.lateral_variances)
+            magnitudes = self._of_any_link(contact)
         place, force, around = means[:, :, 0].split((1, 3, 2), dim=1)
         moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
         return Statement(
@@ -148,11 +151,24 @@ class ContactStatement(nn.Module):
             region_m=region,
             force_n=force,
             contact_covariance=spread[:, :4, :4],
-            magnitude_ci95_n=self._magnitudes(weight, squared, variance),
+            magnitude_ci95_n=self._magnitudes(*magnitudes),
             moment_n_m=around @ self.around_axes,
             moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_TINY)),
             fault_n=rival.faulty_free_n,
         )
+
+    def _of_any_link(self, one: ContactPosterior) -> tuple[Tensor, Tensor, Tensor]:
+        """Weights, squares and variances (B, 1, N K) of magnitudes, whichever link is touched."""
+        within = one.covariance_n2.index_select(2, self.lateral_entries)
+        aside = within.sum(2, keepdim=True) - one.lateral_variance_n2
+        squared, variance = _with_aside(
+            one.lateral_squared_n2, one.lateral_variance_n2, aside.clamp(min=0.0)
+        )
+        probability = torch.softmax(one.log_evidence, dim=1)
+        weight = probability[:, :, None, None] * one.weight
+        count = weight.shape[1] * weight.shape[3]
+        shape = (-1, 1, count)
+        return weight.reshape(shape), squared.reshape(shape), variance.reshape(shape)
 
     def _magnitudes(self, weight: Tensor, squared_n2: Tensor, variance_n2: Tensor) -> Tensor:
         """The interval (B, 2) of a mixture (B, 1, K) of normal magnitudes, up to the largest."""
@@ -190,19 +206,17 @@ class ContactStatement(nn.Module):
 
 
 def _with_aside(
-    squared_n2: Tensor, variance_n2: Tensor, within: Tensor, lateral: Tensor
+    squared_n2: Tensor, variance_n2: Tensor, aside_n2: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Square and variance (B, 1, K) of magnitudes, with what is unknown beside the mean force.
+    """Square and variance of magnitudes, with what is unknown beside the mean force.
 
     A force of mean m along itself, with variances v along and p beside m, has E f² = m² + v + p
     and var f² = 4 m² v + 2 v² + 2 p². A normal magnitude with these two has
 
         μ⁴ = (E f²)² - var f² / 2 = m⁴ + 2 p (m² + v),   σ² = E f² - μ².
     """
-    aside = within.index_select(1, lateral).sum(1, keepdim=True) - variance_n2
-    aside = aside.clamp(min=0.0)
-    square = torch.sqrt(squared_n2**2 + 2.0 * aside * (squared_n2 + variance_n2))
-    return square, squared_n2 + variance_n2 + aside - square
+    square = torch.sqrt(squared_n2**2 + 2.0 * aside_n2 * (squared_n2 + variance_n2))
+    return square, squared_n2 + variance_n2 + aside_n2 - square
 
 
 def _moments(weight: Tensor, value: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,316 @@
+"""The way of tendons from piece to piece: how long each is, what it moves, and how far it turns.
+
+A tendon goes from element to element, sites and geoms, from its actuator on, which is at its first
+site. Between two elements is a straight piece, and at each element but the first and the last the
+tendon bends. Around a geom the bend is the angle of wrap, and the arc belongs to the pieces before
+and behind it: up to a mark on the geom, which turns with it, so that the length of a piece changes
+by just what it moves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_sim.machine.machine import Machine
+
+_SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+_PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
+_CYLINDER = int(mujoco.mjtWrap.mjWRAP_CYLINDER)
+_GEOMS = (_CYLINDER, int(mujoco.mjtWrap.mjWRAP_SPHERE))
+_FIXED = int(mujoco.mjtWrap.mjWRAP_JOINT)
+_OF_PULLEY = -2
+"""What MuJoCo has for the object where a pulley divides a tendon."""
+_NOTHING_M = 1e-12
+"""Shorter pieces have no direction."""
+
+
+class PathsAtPose(NamedTuple):
+    """K tendons of up to S pieces at a pose; zero beyond the end of a tendon.
+
+    Attributes:
+        length_m: (K, S) of the pieces; they add up to the lengths of the tendons.
+        slope_m: (K, S, n) ∂length/∂r.
+        bend_rad: (K, S - 1) by which a tendon turns between a piece and the next.
+    """
+
+    length_m: Array
+    slope_m: Array
+    bend_rad: Array
+
+
+class _Geom(NamedTuple):
+    """A geom that a tendon may wrap.
+
+    Attributes:
+        tendon, element: places in the arrays.
+        geom: its number.
+        is_cylinder: or a sphere.
+        with_next: whether, where the tendon does not touch it, all of the way from the site before
+            to the site behind is the piece before it, else the one behind.
+    """
+
+    tendon: int
+    element: int
+    geom: int
+    is_cylinder: bool
+    with_next: bool
+
+
+class TendonPaths:
+    """The paths of the K tendons of a machine, as its model or another one of the same structure.
+
+    Attributes:
+        is_piece: (K, S) whether there is a piece, that is up to the end of a tendon, and not where
+            a pulley divides it.
+        crosses: (K, S) whether a piece is between two bodies that move by themselves.
+    """
+
+    def __init__(self, machine: Machine, model: mujoco.MjModel | None = None) -> None:
+        self._model = machine.model if model is None else model
+        self._data = mujoco.MjData(self._model)
+        self._coordinates = machine.coordinates
+        self._ids = machine.tendons.ids.tolist()
+        elements = [_elements(self._model, t) for t in self._ids]
+        most = max((len(one) for one in elements), default=2)
+        shape = (len(elements), most)
+        self._sites = np.full(shape, -1, dtype=np.int64)
+        self._bodies = np.zeros(shape, dtype=np.int64)
+        self._divisor = np.ones((shape[0], most - 1))
+        self.is_piece = np.zeros((shape[0], most - 1), dtype=bool)
+        self._fixed: list[int] = []
+        self._geoms: list[_Geom] = []
+        for row, path in enumerate(elements):
+            self._take(row, path)
+        body_of_motion = self._model.body_weldid[self._bodies]
+        self.crosses = (body_of_motion[:, 1:] != body_of_motion[:, :-1]) & self.is_piece
+        self._geoms = [
+            one._replace(with_next=bool(self.crosses[one.tendon, one.element - 1]))
+            for one in self._geoms
+        ]
+        self._marks = self._marks_at(machine.reference)
+
+    def at(self, pose: Array) -> PathsAtPose:
+        """The paths at a pose (n,)."""
+        slope = self._pose(pose)
+        before, behind, bodies = self._points()
+        arcs_m, turns_rad = self._around(before, behind, self._marks)
+        chord = before[:, 1:] - behind[:, :-1]
+        straight_m = np.linalg.norm(chord, axis=-1) * self.is_piece
+        has_direction = straight_m > _NOTHING_M
+        along = chord / np.where(has_direction, straight_m, 1.0)[..., None]
+        along *= has_direction[..., None]
+
+        # direction · (J_end - J_start), with J of a point fixed to its body
+        at_start = self._swept(behind[:, :-1], bodies[:, :-1, 1], along)
+        at_end = self._swept(before[:, 1:], bodies[:, 1:, 0], along)
+        scale = 1.0 / self._divisor
+        length_m = (straight_m + arcs_m) * scale
+        by_pose = ((at_end - at_start) * scale[..., None]) @ slope
+        for row in self._fixed:
+            tendon = self._ids[row]
+            moment = np.zeros((1, self._model.nv))
+            first = int(self._model.ten_J_rowadr[tendon])
+            count = int(self._model.ten_J_rownnz[tendon])
+            columns = self._model.ten_J_colind.reshape(-1)[first : first + count]
+            moment[0, columns] = self._data.ten_J.reshape(-1)[first : first + count]
+            length_m[row, 0] = self._data.ten_length[tendon]
+            by_pose[row, 0] = (moment @ slope)[0]
+        bend_rad = np.where(turns_rad > 0.0, turns_rad, _bends(along, self.is_piece))
+        return PathsAtPose(length_m, by_pose, bend_rad)
+
+    def _take(self, row: int, path: list[tuple[int, int, float]]) -> None:
+        """The elements of a tendon: kind, object and parameter."""
+        model = self._model
+        divisor = 1.0
+        for place, (kind, number, parameter) in enumerate(path):
+            if kind == _FIXED:
+                self._fixed.append(row)
+                self.is_piece[row, 0] = True
+                # a piece that moves a joint is between two bodies
+                self._bodies[row, 1] = model.jnt_bodyid[number]
+                return
+            if kind == _SITE:
+                self._sites[row, place] = number
+                self._bodies[row, place] = model.site_bodyid[number]
+            elif kind in _GEOMS:
+                self._bodies[row, place] = model.geom_bodyid[number]
+                self._geoms.append(_Geom(row, place, number, kind == _CYLINDER, True))
+            elif kind == _PULLEY:
+                divisor = parameter
+            if place + 1 < len(path):
+                self._divisor[row, place] = divisor
+                self.is_piece[row, place] = _PULLEY not in (kind, path[place + 1][0])
+
+    def _pose(self, pose: Array) -> Array:
+        """(nv, n) slope of all joints at a pose, which the data has from then on."""
+        data = self._data
+        qpos = self._coordinates.positions(pose)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_tendon(self._model, data)
+        return self._coordinates.slope(qpos)
+
+    def _points(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Points (K, E, 3) where tendons come to elements and leave them, and bodies (K, E, 2)."""
+        before = self._data.site_xpos[self._sites]
+        behind = before.copy()
+        bodies = np.stack([self._bodies, self._bodies], axis=-1)
+        wrapped = self._wrapped()
+        for one in self._geoms:
+            here = (one.tendon, one.element)
+            if here in wrapped:
+                before[here], behind[here] = wrapped[here]
+                continue
+            neighbour = one.element + 1 if one.with_next else one.element - 1
+            before[here] = behind[here] = self._data.site_xpos[self._sites[one.tendon, neighbour]]
+            bodies[here] = self._bodies[one.tendon, neighbour]
+        return before, behind, bodies
+
+    def _wrapped(self) -> dict[tuple[int, int], tuple[Array, Array]]:
+        """Where tendons begin and end to touch geoms, by tendon and element."""
+        data = self._data
+        points = data.wrap_xpos.reshape(-1, 3)
+        objects = data.wrap_obj.reshape(-1)
+        touched: dict[tuple[int, int], tuple[Array, Array]] = {}
+        by_tendon: dict[int, list[_Geom]] = {}
+        for one in self._geoms:
+            by_tendon.setdefault(one.tendon, []).append(one)
+        for row, geoms in by_tendon.items():
+            first = int(data.ten_wrapadr[self._ids[row]])
+            place = first
+            end = first + int(data.ten_wrapnum[self._ids[row]])
+            sites_passed = 0
+            for one in geoms:
+                # a geom that is touched stands between the sites that are next to it
+                sites_before = int((self._sites[row, : one.element] >= 0).sum())
+                while sites_passed < sites_before:
+                    sites_passed += int(objects[place] == -1)
+                    place += 1
+                if place < end and objects[place] == one.geom:
+                    touched[row, one.element] = points[place].copy(), points[place + 1].copy()
+        return touched
+
+    def _around(
+        self, before: Array, behind: Array, marks: Array
+    ) -> tuple[Array, Array]:
+        """Arcs (K, S) that pieces have on geoms next to them, and turns (K, S - 1) there.
+
+        A mark is where the arc before it ends, as a direction from the geom's middle in its frame.
+        """
+        arcs_m = np.zeros((before.shape[0], before.shape[1] - 1))
+        turns_rad = np.zeros((before.shape[0], before.shape[1] - 2))
+        for one, mark in zip(self._geoms, marks, strict=True):
+            here = (one.tendon, one.element)
+            come = before[here]
+            leave = behind[here]
+            if float(np.abs(leave - come).max()) < _NOTHING_M:
+                continue
+            coming = come - behind[one.tendon, one.element - 1]
+            arc = _arc_of(self._model, self._data, one, come, coming)
+            whole_rad = arc.angle_rad(come, leave) % (2.0 * np.pi)
+            turn = self._data.geom_xmat[one.geom].reshape(3, 3)
+            until_rad = arc.angle_rad(come, arc.middle + turn @ mark)
+            along_m = float((leave - come) @ arc.axis) if one.is_cylinder else 0.0
+            length_m = float(np.hypot(arc.radius_m * whole_rad, along_m))
+            share = until_rad / whole_rad
+            arcs_m[one.tendon, one.element - 1] += share * length_m
+            arcs_m[one.tendon, one.element] += (1.0 - share) * length_m
+            # a helix turns by its angle around the axis times the cosine of its slope
+            turns_rad[one.tendon, one.element - 1] = arc.radius_m * whole_rad**2 / length_m
+        return arcs_m, turns_rad
+
+    def _marks_at(self, reference: Array) -> Array:
+        """(G, 3) half way along each arc in the reference pose, or where it is straight."""
+        self._pose(reference)
+        before, behind, _ = self._points()
+        marks = np.zeros((len(self._geoms), 3))
+        for row, one in enumerate(self._geoms):
+            here = (one.tendon, one.element)
+            turn = self._data.geom_xmat[one.geom].reshape(3, 3)
+            middle = self._data.geom_xpos[one.geom]
+            last = behind[one.tendon, one.element - 1]
+            following = before[one.tendon, one.element + 1]
+            halfway = 0.5 * (before[here] + behind[here])
+            if float(np.abs(behind[here] - before[here]).max()) < _NOTHING_M:
+                # the nearest point of the straight way
+                way = following - last
+                share = float((middle - last) @ way / (way @ way))
+                halfway = last + share * way
+            marks[row] = turn.T @ (halfway - middle)
+        return marks
+
+    def _swept(self, points: Array, bodies: NDArray[np.int64], along: Array) -> Array:
+        """(K, S, nv) velocities of points of bodies along directions, by all joints."""
+        model = self._model
+        by_force = np.zeros((model.nbody, 3, model.nv))
+        by_moment = np.zeros((model.nbody, 3, model.nv))
+        for body in np.unique(bodies).tolist():
+            mujoco.mj_jacBody(model, self._data, by_force[body], by_moment[body], body)
+        arm_m = points - self._data.xpos[bodies]
+        moment = np.cross(arm_m, along)
+        swept = along[:, :, None] @ by_force[bodies] + moment[:, :, None] @ by_moment[bodies]
+        return np.asarray(swept[:, :, 0])
+
+
+class _Arc(NamedTuple):
+    """A cable on a round geom.
+
+    Attributes:
+        middle: (3,) of the geom.
+        axis: (3,) about which it goes, positively.
+        radius_m: of the geom.
+    """
+
+    middle: Array
+    axis: Array
+    radius_m: float
+
+    def angle_rad(self, start: Array, end: Array) -> float:
+        """From one point to another about the axis, between -π and π."""
+        first = start - self.middle
+        second = end - self.middle
+        first = first - (first @ self.axis) * self.axis
+        second = second - (second @ self.axis) * self.axis
+        return float(np.arctan2(np.cross(first, second) @ self.axis, first @ second))
+
+
+def _arc_of(
+    model: mujoco.MjModel, data: mujoco.MjData, one: _Geom, come: Array, coming: Array
+) -> _Arc:
+    """The arc of a tendon that comes to a geom at a point, with a direction, both (3,)."""
+    middle = data.geom_xpos[one.geom].copy()
+    about = np.cross(come - middle, coming)
+    if one.is_cylinder:
+        axis = data.geom_xmat[one.geom].reshape(3, 3)[:, 2]
+        axis = axis * (1.0 if about @ axis > 0.0 else -1.0)
+    else:
+        axis = about / np.linalg.norm(about)
+    return _Arc(middle, axis, float(model.geom_size[one.geom, 0]))
+
+
+def _elements(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, float]]:
+    """Kinds, objects and parameters of the elements of a tendon."""
+    first = int(model.tendon_adr[tendon])
+    wraps = range(first, first + int(model.tendon_num[tendon]))
+    return [
+        (int(model.wrap_type[w]), int(model.wrap_objid[w]), float(model.wrap_prm[w]))
+        for w in wraps
+    ]
+
+
+def _bends(along: Array, is_piece: NDArray[np.bool_]) -> Array:
+    """(K, S - 1) angles between one direction (K, S, 3) and the next; pieces without one have that
+    of the piece before."""
+    directions = along.copy()
+    for piece in range(1, directions.shape[1]):
+        lacks = is_piece[:, piece] & ~directions[:, piece].any(axis=-1)
+        directions[lacks, piece] = directions[lacks, piece - 1]
+    apart = np.linalg.norm(directions[:, 1:] - directions[:, :-1], axis=-1)
+    exist = directions[:, 1:].any(axis=-1) & directions[:, :-1].any(axis=-1)
+    return np.where(exist, 2.0 * np.arcsin(np.clip(0.5 * apart, 0.0, 1.0)), 0.0)
