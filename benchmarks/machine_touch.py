@@ -48,7 +48,7 @@ PUSHED = (0.2, 0.8)
 """Forces that servos aim at, as shares of the largest that a file expects."""
 DAMPING_SHARE = 0.3
 STEPS = 6000
-AT_REST = 1e-3
+AT_REST = 1e-4
 """Largest force of inertia and dampers over that of the contact: the engine's friction is a damper
 with a limit, so that a rough contact creeps for ever, by however little."""
 _TINY = 1e-12

@@ -1,4 +1,4 @@
-"""What is known of an arm's slides, and what friction therefore adds to its tensions.
+"""What is known of the slides of a machine's cables, and what friction therefore adds to its tensions.
 
 The slide u times the coefficient μ is the carried friction ε. With a coefficient that is known to
 its mean and variance only,
@@ -8,7 +8,7 @@ its mean and variance only,
 
 where x is any other parameter, and slides are independent of μ.
 
-Slides of the unloaded arm follow from its motion, which passes cable over the guides, and those
+Slides of the unloaded machine follow from its motion, which passes cable over the guides, and those
 under a load from changes of the readings (`slides_under_load`).
 """
 
@@ -16,20 +16,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.cable_routes import CableRoutes
 from cablesense_contact.slides import Belief, Slides, turned
 from cablesense_contact.slides_under_load import SlidesAtPose, SlidesUnderLoad
-from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.replay import reading_variance_n2
-from cablesense_sim.uncertain_arm import arm_parameters, cable_friction
+from cablesense_sim.parameter_groups import GroupedParameters
 
-_MOVED_STD = 5.0
-"""A cable has moved if its reading has changed by this many deviations of a reading."""
 _TURNING_RAD = float(np.deg2rad(1.0))
 """Over so much of its last way the direction of a motion counts."""
 _STEPS_OF_MOTION = 16
@@ -41,20 +37,22 @@ _ROUNDED = 1.0 / 16.0
 """Slides that are nearer to each other count as the same."""
 _FREED_STD = 0.05
 """Deviation of slides after a breath."""
+_LEAST_WAY_M = 1e-12
+"""Over which a cable turns, at the least: something is divided by it."""
 
 
 @dataclass(frozen=True)
 class LastWay:
-    """The way of the commands of an unloaded arm, as far back as it matters to slides.
+    """The way of the commands of an unloaded machine, as far back as it matters to slides.
 
     Attributes:
-        commands_rad: each (2N,), the present one last; empty where nothing is known yet.
+        commands_rad: each (C,), the present one last; empty where nothing is known yet.
     """
 
     commands_rad: tuple[Array, ...] = ()
 
     def to(self, command_rad: Array) -> LastWay:
-        """The way on to the next command (2N,)."""
+        """The way on to the next command (C,)."""
         way_rad = [*self.commands_rad, command_rad]
         while len(way_rad) > 2:
             back_rad = np.abs(way_rad[1] - command_rad).max()
@@ -70,77 +68,99 @@ class LastWay:
 
     @property
     def came_from_rad(self) -> Array | None:
-        """(2N,) where the motion to the present command came from; None if that is not known."""
+        """(C,) where the motion to the present command came from; None if that is not known."""
         return self.commands_rad[0] if len(self.commands_rad) > 1 else None
 
 
-class CableSlides:
-    """The slides of an arm's cables, by what has moved them.
+class FrictionParameters(NamedTuple):
+    """Where friction stands among the parameters of a machine with M cables and G guides.
 
     Attributes:
-        unknown: the arm has moved, who knows in which direction.
+        carried: of what friction carries, M at each guide.
+        coefficient: of the coefficient.
+        exists: (G M,) 1 where something may be carried, else 0.
+        expected: root mean square of the coefficient, before readings tell more.
+    """
+
+    carried: slice
+    coefficient: int
+    exists: Array
+    expected: float
+
+    @classmethod
+    def of(cls, parameters: GroupedParameters) -> FrictionParameters:
+        """By the tolerances of a machine."""
+        carried = parameters.carried_friction
+        coefficient = parameters.slices["friction"].start
+        prior_std = parameters.prior_std
+        return cls(
+            carried=carried,
+            coefficient=coefficient,
+            exists=(prior_std[carried] > 0.0).astype(float),
+            expected=math.hypot(parameters.prior_mean[coefficient], prior_std[coefficient]),
+        )
+
+
+class CableSlides:
+    """The slides of cables by what has moved them; a `felt.KnownSlides`.
+
+    Attributes:
+        unknown: the machine has moved, who knows in which direction.
         freed: after a breath, which takes friction out of all readings.
     """
 
-    def __init__(self, arm: Arm) -> None:
-        """For the arm of a file."""
-        mechanism = mechanism_of(arm)
-        parameters = arm_parameters(arm)
-        run_compliance = cable_friction(arm).run_compliance
-        self._mechanism = mechanism
-        self._moved_n = _MOVED_STD * math.sqrt(reading_variance_n2(arm.sensors))
-        self._before_pulley = run_compliance / (1.0 + run_compliance)
-        self._carried = parameters.carried_friction
-        self._coefficient = parameters.slices["friction"].start
-        self._exists = (parameters.prior_std[self._carried] > 0.0).astype(float)
-        shape = (mechanism.segment_count + 1, mechanism.cable_count)
+    def __init__(self, routes: CableRoutes, friction: FrictionParameters) -> None:
+        """For the routes of M cables over G guides, and where their friction stands."""
+        self._routes = routes
+        self._carried = friction.carried
+        self._coefficient = friction.coefficient
+        self._exists = friction.exists
+        cables, guides = routes.wrap_rad.shape
+        shape = (guides, cables)
         nothing = np.zeros(shape)
         self.unknown = Slides(nothing, np.ones(shape), nothing)
         self.freed = Slides(nothing, np.full(shape, _FREED_STD), nothing)
-        self._pretension_n = float(np.max(mechanism.pretension_n))
+        self._pretension_n = float(np.max(routes.pretension_n, initial=0.0))
         # to slide back, a cable that carries ε = μ has to be stretched until it carries -μ
-        coefficient = math.hypot(
-            parameters.prior_mean[self._coefficient], parameters.prior_std[self._coefficient]
-        )
-        behind_m_n = (1.0 - self._before_pulley) / mechanism.stiffness_n_m
-        turning_m = 2.0 * coefficient * mechanism.pretension_n * behind_m_n
-        self._turning_m = np.maximum(turning_m, 1e-12)
+        behind_m_n = routes.compliance_m_n[:, 1:].sum(axis=1)
+        turning_m = 2.0 * friction.expected * routes.pretension_n * behind_m_n
+        self._turning_m = np.maximum(turning_m[:, None] * routes.wrap_rad, _LEAST_WAY_M)
 
     def after_motion(self, from_rad: Array, to_rad: Array) -> Slides:
-        """Those of the unloaded arm after a straight motion between two commands (2N,).
+        """Those of the unloaded machine after a straight motion between two commands (C,).
 
-        What passes a guide is what the spans behind it take up. After a turn it slides again when
+        What passes a guide is what the pieces behind it take up. After a turn it slides again when
         it has stretched by the friction that it carried.
         """
-        shares = np.linspace(0.0, 1.0, _STEPS_OF_MOTION + 1)[:, None]
-        span_m = kinematics.spans(
-            self._mechanism, from_rad + shares * (to_rad - from_rad)
-        ).length_m
-        behind_m = span_m[..., ::-1].cumsum(axis=-1)[..., ::-1].swapaxes(-1, -2)
-        behind_m = np.concatenate([behind_m[:, :1], behind_m], axis=1)  # pulley and first guide
         slides = self.unknown
+        if not (self._exists.any() and self._routes.are_followed):
+            return slides
+        length_m = self._routes.on_the_way_m(from_rad, to_rad, _STEPS_OF_MOTION)
+        behind_m = length_m[..., :0:-1].cumsum(axis=-1)[..., ::-1].swapaxes(-1, -2)
         for passed_m in np.diff(behind_m, axis=0):
-            slides = turned(slides, passed_m, self._turning_m)
+            slides = turned(slides, passed_m, self._turning_m.T)
         return slides
 
     def matter(self, known: Belief) -> bool:
         """Whether friction makes more of a reading than a trifle of a change that shows."""
+        if not self._routes.are_followed:
+            return False
         friction_n = self._pretension_n * math.sqrt(self._mean_square(known))
         return friction_n > _TRIFLE * self._moved_n
 
     def under_load(
         self, command_rad: Array, untouched_n: Array, known: Belief, arrived: Slides | None = None
     ) -> SlidesUnderLoad:
-        """Follows readings at one command (2N,), from those of the untouched arm (M,) on.
+        """Follows readings at one command (C,), from those of the untouched machine (M,) on.
 
-        `arrived` are the slides with which the arm came there, by default unknown.
+        `arrived` are the slides with which the machine came there, by default unknown.
         """
-        pose = SlidesAtPose(self._mechanism, command_rad, self._turning_m, self._before_pulley)
+        pose = SlidesAtPose(self._routes, command_rad, self._turning_m)
         return SlidesUnderLoad.begin(
             pose,
             self.unknown if arrived is None else arrived,
             untouched_n,
-            self._moved_n,
+            self._routes.moved_n,
             friction=float(known.mean[self._coefficient]),
         )
 
@@ -171,7 +191,7 @@ class CableSlides:
         return Belief(mean, covariance)
 
     def by_lasting(self, slope: Array, slides: Slides) -> Array:
-        """Slopes (M, P) of readings by parameters, without what friction carries.
+        """Slopes (D, P) of readings by parameters, without what friction carries.
 
         They have the coefficient's share in it instead.
         """
@@ -182,7 +202,7 @@ class CableSlides:
         return lasting
 
     def alone(self, known: Belief, slides: Slides) -> Array:
-        """((N + 1) M,) variances of what is carried by the slides alone, in their order."""
+        """(G M,) variances of what is carried by the slides alone, in their order."""
         variance = (slides.std.ravel() * self._exists) ** 2
         return np.asarray(self._mean_square(known) * variance)
 

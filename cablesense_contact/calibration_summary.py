@@ -8,7 +8,7 @@ import numpy as np
 
 from cablesense_contact.calibration import Calibration
 from cablesense_sim.parameter_groups import GroupedParameters
-from cablesense_sim.tolerances import CARRIED_FRICTION
+from cablesense_sim.parameter_groups import CARRIED_FRICTION
 
 DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""

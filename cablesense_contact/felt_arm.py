@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.arm_routes import arm_slides
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.felt import ChannelLimits, LinksAtPose
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD
@@ -89,7 +90,7 @@ class FeltArm:
     @cached_property
     def slides(self) -> CableSlides:
         """How that state follows from what moves the cables."""
-        return CableSlides(self.arm)
+        return arm_slides(self.arm)
 
     @cached_property
     def _mechanism(self) -> Mechanism:

@@ -18,19 +18,19 @@ SLIDING_STD = 0.1
 
 
 class Belief(NamedTuple):
-    """What is known of the arm at one sample: mean (P,) and covariance (P, P)."""
+    """What is known of the machine at one sample: mean (P,) and covariance (P, P)."""
 
     mean: Array
     covariance: Array
 
 
 class Slides(NamedTuple):
-    """What is known of the slides of M cables at their guides 0 (the pulley) to N.
+    """What is known of the slides of M cables at their G guides, from the actuators on.
 
     Attributes:
-        mean: (N + 1, M), from -1 to 1.
-        std: (N + 1, M), independent of one another, and
-        common: (N + 1, M) what all are off by together, times a standard normal number.
+        mean: (G, M), from -1 to 1.
+        std: (G, M), independent of one another, and
+        common: (G, M) what all are off by together, times a standard normal number.
     """
 
     mean: Array

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.cable_routes import CableRoutes
 from cablesense_contact.slides import SLIDING_STD, Slides, turned
-from cablesense_sim import kinematics
-from cablesense_sim.mechanism import Mechanism
 
 _RETURNED_STD = 0.6
 """Of all slides together once a load was taken off, in the direction of the load: friction holds
@@ -39,31 +38,24 @@ _STANDS_SHARE = 0.2
 _LEAST_FRICTION = 1e-4
 """In place of a coefficient whose mean is zero or less: something is divided by it."""
 _GUIDE_SHARE = 0.5
-"""Way over which a cable turns at a guide by that at a pulley. It is less by the wrap, but what
-passes is known about so well only, as what pulleys carry is not known better."""
+"""Way over which a cable turns at a guide by that over which it would if nothing else held it:
+what passes is known about so well only, as what the first guides carry is not known better."""
+_LEAST_HELD_N = 1e-9
+"""Tension that friction at the first guide holds, at the least: something is divided by it."""
 
 
 class SlidesAtPose:
-    """What changes of readings say of slides, with the arm at one command."""
+    """What changes of readings say of slides, with the machine at one command."""
 
-    def __init__(
-        self, mechanism: Mechanism, command_rad: Array, turning_m: Array, before_pulley: Array
-    ) -> None:
-        """For a command (2N,).
-
-        `turning_m` (M,) is the way over which a cable turns to slide back over its pulley, and
-        `before_pulley` (M,) the share of its compliance that lies before it.
-        """
-        count = mechanism.segment_count
-        cables = mechanism.cable_count
-        self._by_angle = kinematics.cable_jacobian_m(mechanism, command_rad)
-        self._by_joint = self._by_angle.reshape(cables, count, 2)
-        pieces = mechanism.piece_length_m
-        behind_m_n = (1.0 - before_pulley) / mechanism.stiffness_n_m
-        self._pieces_m_n = behind_m_n[:, None] * pieces / pieces.sum(axis=1, keepdims=True)
-        self._behind_m_n = behind_m_n
-        self._run_m_n = before_pulley / mechanism.stiffness_n_m
-        self._guides_turn_m = _GUIDE_SHARE * turning_m
+    def __init__(self, routes: CableRoutes, command: Array, turning_m: Array) -> None:
+        """For a command (C,), with the ways (M, G) over which cables turn to slide back."""
+        self._slope_m = routes.slope_m(command)
+        self._by_coordinate = self._slope_m.sum(axis=1)
+        self._run_m_n = routes.compliance_m_n[:, 0]
+        self._pieces_m_n = routes.compliance_m_n[:, 1:]
+        self._behind_m_n = self._pieces_m_n.sum(axis=1)
+        self._first_wrap_rad = routes.wrap_rad[:, 0]
+        self._guides_turn_m = _GUIDE_SHARE * turning_m[:, 1:].T
 
     def changed(
         self,
@@ -84,32 +76,32 @@ class SlidesAtPose:
             moved: (M,) which cables have moved since.
             moved_n: change that shows that.
             friction: its coefficient, as known.
-            common: (N + 1, M) of the slides.
+            common: (G, M) of the slides.
         """
         change_n = now_n - before_n
         if not moved.any():
             return before
-        # tensions behind the pulley, by which the pieces there stretch: known where cable slides
+        # tensions behind the first guide, by which the pieces there stretch: known where it slides
         slid = np.where(moved, np.sign(change_n), before.mean[0])
-        behind_n = now_n * np.exp(friction * slid) - before_n * np.exp(friction * before.mean[0])
-        held_n = max(friction, _LEAST_FRICTION) * np.maximum(now_n, moved_n)
+        carried = friction * self._first_wrap_rad
+        behind_n = now_n * np.exp(carried * slid) - before_n * np.exp(carried * before.mean[0])
+        held_n = max(friction, _LEAST_FRICTION) * self._first_wrap_rad
+        held_n = np.maximum(held_n * np.maximum(now_n, moved_n), _LEAST_HELD_N)
         std_n = np.where(moved, moved_n + SLIDING_STD * held_n, moved_n + held_n)
         longer_m = self._run_m_n * change_n + self._behind_m_n * behind_n
         weight = (np.minimum(before_n, now_n) > moved_n) / (self._behind_m_n * std_n)
         # the joints have given way by as much as the cables got longer
-        turned_rad = np.linalg.lstsq(
-            weight[:, None] * self._by_angle, weight * longer_m, rcond=None
+        gave_way = np.linalg.lstsq(
+            weight[:, None] * self._by_coordinate, weight * longer_m, rcond=None
         )[0]
-        taken_m = (self._by_joint * turned_rad.reshape(-1, 2)).sum(axis=-1)
-        # a cable that stands at its pulley: what its spans take up, it stretches behind
+        taken_m = self._slope_m[:, 1:] @ gave_way
+        # a cable that stands at its first guide: what its pieces take up, it stretches behind
         stands_n = (taken_m.sum(axis=1) - self._run_m_n * change_n) / self._behind_m_n
         stands = np.clip(before.mean[0] + stands_n / held_n, -1.0, 1.0)
         behind_n = np.where(moved, behind_n, held_n * (stands - before.mean[0]))
-        # what the pieces before a guide stretch, and their spans do not take up, has passed it
-        pieces_m = self._pieces_m_n * behind_n[:, None]
-        between_m = pieces_m[:, 0::2].copy()
-        between_m[:, 1:] += pieces_m[:, 1:-1:2] - taken_m[:, :-1]
-        passed_m = (self._run_m_n * change_n)[:, None] + between_m.cumsum(axis=1)
+        # what the pieces before a guide stretch, and do not take up, has passed it
+        between_m = self._pieces_m_n * behind_n[:, None] - taken_m
+        passed_m = (self._run_m_n * change_n)[:, None] + between_m[:, :-1].cumsum(axis=1)
         earlier = Slides(before.mean[1:], before.std[1:], before.common[1:])
         guides = turned(earlier, passed_m.T, self._guides_turn_m, _GUIDE_STD)
         pulley_std = np.where(moved, SLIDING_STD, _STANDING_STD)
@@ -134,7 +126,7 @@ class SlidesUnderLoad:
         slides: at the last reading.
         turn_n: (M,) readings at the last turn, or of the untouched arm, and
         at_turn: the slides then.
-        common: (N + 1, M) what all slides are off by together since.
+        common: (G, M) what all slides are off by together since.
         moved: (M,) which cables have moved since.
         followed_n: (M,) the readings of which `slides` are.
         steady_n, steady_count: (M,) mean of the last readings that do not change, and how many.

@@ -9,6 +9,9 @@ import numpy as np
 
 from cablesense_base import Array
 
+CARRIED_FRICTION = "carried_friction"
+"""Name of the parameters that are the state of friction, followed by the number of a guide."""
+
 
 @dataclass(frozen=True)
 class ParameterGroup:
@@ -66,6 +69,14 @@ class GroupedParameters:
     def slices(self) -> Mapping[str, slice]:
         """Where the parameters of each kind stand."""
         return dict(self._slices())
+
+    @property
+    def carried_friction(self) -> slice:
+        """Where the carried frictions stand, of all cables at one guide after another."""
+        parts = [part for name, part in self._slices() if name.startswith(CARRIED_FRICTION)]
+        if not parts:
+            return slice(len(self), len(self))
+        return slice(parts[0].start, parts[-1].stop)
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Deviations (P,) of a machine of these tolerances."""

@@ -19,7 +19,7 @@ from pydantic import Field
 from cablesense_base import Array
 from cablesense_base.plain_yaml import FilePart, Number
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.parameter_groups import GroupedParameters, ParameterGroup
+from cablesense_sim.parameter_groups import CARRIED_FRICTION, GroupedParameters, ParameterGroup
 
 _Share = Annotated[Number, Field(ge=0.0, le=0.5)]
 _Metres = Annotated[Number, Field(ge=0.0, le=0.02)]
@@ -86,10 +86,6 @@ class Tolerances(FilePart):
         return self.model_copy(
             update={name: factor * value for name, value in self.model_dump().items()}
         )
-
-
-CARRIED_FRICTION = "carried_friction"
-"""Name of the kind of parameters that are the state of friction, see `ArmParameters`."""
 
 
 class ArmParameters(GroupedParameters):
@@ -173,12 +169,6 @@ class ArmParameters(GroupedParameters):
             for name in (f"hole_outward_{n}", f"hole_around_{n}", f"{CARRIED_FRICTION}_{n}"):
                 std[self.slices[name]][absent] = 0.0
         return std
-
-    @property
-    def carried_friction(self) -> slice:
-        """Where the carried frictions stand, M of each guide 0 to N."""
-        parts = [part for name, part in self._slices() if name.startswith(CARRIED_FRICTION)]
-        return slice(parts[0].start, parts[-1].stop)
 
     def built(self, theta: Array) -> Mechanism:
         """The mechanism of an arm that differs from its file by θ (P,).

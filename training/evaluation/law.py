@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.cable_slides import CableSlides
+from cablesense_contact.arm_routes import arm_slides
 from cablesense_contact.calibration import Calibration, Calibrator
 from cablesense_contact.felt import alike
 from cablesense_contact.felt_arm import FeltArm
@@ -234,7 +234,7 @@ class KnownArm:
         self._law = law
         self._judge = Judge(FeltArm(arm))
         self._known = Belief(calibration.mean, calibration.covariance)
-        self._slides = CableSlides(arm)
+        self._slides = arm_slides(arm)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
 
     def stated(self, readings_n: Array, commands_rad: Array) -> Statements:
@@ -293,7 +293,7 @@ def exact_calibration(arm: Arm) -> Calibration:
     covariance = np.zeros((len(parameters), len(parameters)))
     if cable_friction(arm).listed:
         mean[friction] = parameters.prior_mean[friction]
-        slides = CableSlides(arm)
+        slides = arm_slides(arm)
         mean, covariance = slides.carried(Belief(mean, covariance), slides.unknown)
     return Calibration(
         arm.identity, mean, covariance, mean, covariance, made_from="the arm file, as exact"

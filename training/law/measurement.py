@@ -31,7 +31,8 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.tolerances import CARRIED_FRICTION, ArmParameters
+from cablesense_sim.parameter_groups import CARRIED_FRICTION
+from cablesense_sim.tolerances import ArmParameters
 from cablesense_sim.uncertain_arm import CableFriction
 from cablesense_training.law.geometry import (
     LEVI_CIVITA,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablesense_contact.cable_slides import CableSlides, LastWay
+from cablesense_contact.arm_routes import arm_slides
+from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.slides import Belief, Slides
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim.arm import open_arm
@@ -17,7 +18,7 @@ from tests.helpers.plant_arm import NOMINAL
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
 PARAMETERS = arm_parameters(ARM)
-SLIDES = CableSlides(ARM)
+SLIDES = arm_slides(ARM)
 COUNT = len(PARAMETERS)
 FRICTION = PARAMETERS.slices["friction"].start
 CARRIED = PARAMETERS.carried_friction
