@@ -129,10 +129,10 @@ class Stated:
 class Bench:
     """One machine with its law."""
 
-    def __init__(self, name: str) -> None:
-        self.machine: Machine = open_machine(FOLDER / f"{name}.yaml")
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{name}.onnx"
+            path = Path(folder) / f"{machine.name}.onnx"
             export_machine(self.machine, path, "benchmarks/machines.py")
             self.law = open_machine_law(path, self.machine)
         felt = FeltModel(self.machine)
@@ -427,7 +427,7 @@ def main() -> None:
     bars: dict[str, bool] = {}
     for name in given.machines:
         row = MACHINES.index(name)
-        bench = Bench(name)
+        bench = Bench(open_machine(FOLDER / f"{name}.yaml"))
         rng = np.random.default_rng([given.seed, row])
         drawn = [bench.sample(rng) for _ in track(range(given.samples), name)]
         samples = [sample for sample in drawn if sample is not None]

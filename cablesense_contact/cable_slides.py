@@ -116,7 +116,8 @@ class CableSlides:
         self._coefficient = friction.coefficient
         self._exists = friction.exists
         cables, guides = routes.wrap_rad.shape
-        shape = (guides, cables)
+        # parameters of a machine without friction may have no guides at all
+        shape = (guides if friction.exists.size else 0, cables)
         nothing = np.zeros(shape)
         self.unknown = Slides(nothing, np.ones(shape), nothing)
         self.freed = Slides(nothing, np.full(shape, _FREED_STD), nothing)
@@ -146,7 +147,7 @@ class CableSlides:
         if not self._routes.are_followed:
             return False
         friction_n = self._pretension_n * math.sqrt(self._mean_square(known))
-        return friction_n > _TRIFLE * self._moved_n
+        return friction_n > _TRIFLE * self._routes.moved_n
 
     def under_load(
         self, command_rad: Array, untouched_n: Array, known: Belief, arrived: Slides | None = None

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.cable_slides import CableSlides, FrictionParameters
 from cablesense_contact.felt import ChannelLimits, LinkFrames, LinksAtPose
-from cablesense_contact.machine.carried_slides import CarriedSlides
 from cablesense_contact.machine.law import GRAPH_FORCE_N
 from cablesense_contact.machine.observation import Observer
+from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_contact.reference_contacts import ReferenceContacts, ReferenceLoads
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -67,11 +70,16 @@ class FeltModel:
         numbers = np.arange(len(parameters))
         self.zeros[parameters.is_force] = numbers[slices["sensor_zero"]]
         self.zeros[~parameters.is_force] = numbers[slices["torque_zero"]]
-        self.carried_friction = slices["carried_friction"]
-        self.slides = CarriedSlides(self.carried_friction, slices["friction"].start)
+        self.carried_friction = parameters.carried_friction
         zero_n = np.where(parameters.is_force, tolerances.zero_n, -np.inf)
         self.slack_below = _SLACK_BELOW_STD * np.hypot(zero_n, np.sqrt(channels.variance))
         self.slack_below[~parameters.is_force] = -np.inf
+
+    @cached_property
+    def slides(self) -> CableSlides:
+        """How what friction carries follows from what moves the tendons."""
+        routes = TendonRoutes(self.source, TendonFriction(self.source))
+        return CableSlides(routes, FrictionParameters.of(self.parameters))
 
     def mean_variance(self, count: int) -> Array:
         """(M,) variance of the mean of some readings; rounding does not average out."""

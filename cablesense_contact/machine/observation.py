@@ -22,19 +22,21 @@ In both, an observation x has the covariance S = R + G Σ G', as in `training/la
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.machine.sensitivity import ParameterSources, Sensitivity
+from cablesense_contact.machine.tendon_friction import Carried, TendonFriction
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.statics import LinkForce, LinkFrames, MachineStatics
 
+_Value = TypeVar("_Value")
 _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor's noise and zero shows a taut tendon."""
 _POSE_STEPS = 12
@@ -137,11 +139,14 @@ class Observer:
         self._holding = Holding(machine)
         self._variance = machine.channels.variance
         self._kept: dict[bytes, _Known] = {}
+        self._kept_without_friction: dict[bytes, _Known] = {}
         self._built: dict[bytes, BuiltMachine] = {}
         self._last: _Spread | None = None
         self._friction_variance = _joint_friction_variance(machine)
         self._contact_covariance = self._prior_of_torques()
         self._equations = _known_equations(machine)
+        rubs = machine.source.file.cables.friction_coefficient > 0.0
+        self._friction = TendonFriction(machine) if rubs else None
 
     def observe(
         self,
@@ -178,7 +183,7 @@ class Observer:
             return np.diag(variance)
         known = self._known(command, self.parameters.prior_mean)
         balance = known.built.statics.at(known.pose)
-        by_channel = self._by_channel(balance.moment)[self._equations]
+        by_channel = self._by_channel(balance.pull)[self._equations]
         return np.asarray((by_channel * variance) @ by_channel.T)
 
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
@@ -195,8 +200,20 @@ class Observer:
 
     def _known(self, command: Array, mean: Array) -> _Known:
         key = mean.tobytes() + command.tobytes()
-        if key in self._kept:
-            return self._kept[key]
+        if key not in self._kept:
+            without = mean.copy()
+            without[self.parameters.carried_friction] = 0.0
+            known = self._without_friction(command, without)
+            if self._friction is not None:
+                carried = mean[self.parameters.carried_friction]
+                known = self._rubbing(known, self._friction.at(known.pose, carried))
+            _keep(self._kept, key, known)
+        return self._kept[key]
+
+    def _without_friction(self, command: Array, mean: Array) -> _Known:
+        key = mean.tobytes() + command.tobytes()
+        if key in self._kept_without_friction:
+            return self._kept_without_friction[key]
         built = self._built_of(mean)
         machine = self.machine
         statics = built.statics
@@ -220,17 +237,27 @@ class Observer:
         frame_pose = command if machine.source.file.joints == "commanded" else pose
         statics.at(frame_pose)
         known = _Known(built, unstretched_m, pose, load_slope, sources, rows, statics.links())
-        if len(self._kept) >= _MOST_KEPT:
-            self._kept.pop(next(iter(self._kept)))
-        self._kept[key] = known
+        _keep(self._kept_without_friction, key, known)
         return known
+
+    def _rubbing(self, known: _Known, carried: Carried) -> _Known:
+        """What is known of the machine with friction, by what is known of it without."""
+        built = known.built.rubbing(carried.beside_m, carried.stretch)
+        sources = known.sources.rubbing(built, carried)
+        rows = np.concatenate([sources.rows, known.rows[len(sources.rows) :]])
+        pose = known.pose
+        load_slope = known.load_slope
+        if not self.machine.is_measured:
+            pose, tensions_n = built.statics.rest(known.unstretched_m, (), pose)
+            load_slope = built.statics.load_slope(pose, tensions_n)
+        return known._replace(
+            built=built, pose=pose, load_slope=load_slope, sources=sources, rows=rows
+        )
 
     def _built_of(self, mean: Array) -> BuiltMachine:
         key = mean.tobytes()
         if key not in self._built:
-            if len(self._built) >= _MOST_KEPT:
-                self._built.pop(next(iter(self._built)))
-            self._built[key] = BuiltMachine(self.machine, self.parameters, mean)
+            _keep(self._built, key, BuiltMachine(self.machine, self.parameters, mean))
         return self._built[key]
 
     def _of_tensions(
@@ -250,11 +277,11 @@ class Observer:
         balance = statics.at(pose)
         frames = statics.links()
         tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
-        residual = balance.load - tensions_n @ balance.moment
+        residual = balance.load - tensions_n @ balance.pull
         slope = load_slope + statics.elastic_slope(balance.moment, tensions_n)
         by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
         entering = known.sources.entering(tensions_n, pose)
-        of_tensions = _at_rest(entering, by_torque, balance.moment)
+        of_tensions = _at_rest(entering, by_torque, balance.pull)
         of_sources = self._of_channels(of_tensions[read], built.gain, tensions_n[read])
         by_torque = built.gain[:, None] * by_torque[read]
         spread = of_sources @ self._spread(known, covariance).of_sources @ of_sources.T
@@ -296,7 +323,7 @@ class Observer:
             off = tension - modelled
             pulls = taut | (tensions_n[read] > 0.0)
             by_pose = (statics.stiffness_n_m[:, None] * balance.moment)[read]
-            residual = balance.load - tensions_n @ balance.moment
+            residual = balance.load - tensions_n @ balance.pull
             slope = load_slope + statics.elastic_slope(balance.moment, tensions_n)
             matrix = np.concatenate([of_channels @ (by_pose * pulls[:, None]), of_forces @ slope])
             wanted = np.concatenate([of_channels @ off, -(of_forces @ residual)])
@@ -349,7 +376,7 @@ class Observer:
         slope = known.load_slope + statics.elastic_slope(balance.moment, tensions_n)
         by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
         entering = known.sources.entering(tensions_n, known.pose)
-        of_tensions = _at_rest(entering, by_torque, balance.moment)
+        of_tensions = _at_rest(entering, by_torque, balance.pull)
         in_channels = self._of_channels(of_tensions[read], gain, tensions_n[read])
         of_readings = in_channels @ of_sources @ in_channels.T + np.diag(self._variance)
         zero_variance = np.diagonal(of_sources)[-len(read) :]
@@ -378,18 +405,18 @@ class Observer:
         tensions_n = spring_n.copy()
         is_tension = channels.tendon >= 0
         tensions_n[channels.tendon[is_tension]] = value[is_tension]
-        by_channel = self._by_channel(balance.moment)
+        by_channel = self._by_channel(balance.pull)
         drives = np.flatnonzero(~is_tension)
         driven = np.zeros(len(pose))
         driven[channels.coordinate[drives]] = value[drives]
         # τ = J' T - F_0 - u
-        innovation = tensions_n @ balance.moment - balance.load - driven
+        innovation = tensions_n @ balance.pull - balance.load - driven
         slope = statics.load_slope(pose, tensions_n)
         entering = known.sources.entering(tensions_n, pose)
         # what is read does not follow from lengths, but springs' tensions do
         of_tensions = entering.of_tensions
         of_tensions[channels.tendon[is_tension]] = 0.0
-        of_values = entering.of_forces - balance.moment.T @ of_tensions
+        of_values = entering.of_forces - balance.pull.T @ of_tensions
         of_sources = np.concatenate([of_values, by_channel * value, by_channel], axis=1)
         by_parameter = of_sources @ known.rows
         slices = self.parameters.slices
@@ -440,9 +467,16 @@ class Observer:
         return np.asarray(covariance + floor * np.eye(len(covariance)))
 
 
-def _at_rest(entering: Sensitivity, by_torque: Array, moment: Array) -> Array:
+def _keep(kept: dict[bytes, _Value], key: bytes, value: _Value) -> None:
+    """Keep a value, in place of the oldest if there are too many."""
+    if len(kept) >= _MOST_KEPT:
+        kept.pop(next(iter(kept)))
+    kept[key] = value
+
+
+def _at_rest(entering: Sensitivity, by_torque: Array, pull: Array) -> Array:
     """(K, S) δT = (1 - D J') A + D B by the sources: see the head of this file."""
-    kept = entering.of_tensions - by_torque @ (moment.T @ entering.of_tensions)
+    kept = entering.of_tensions - by_torque @ (pull.T @ entering.of_tensions)
     return np.asarray(kept + by_torque @ entering.of_forces)
 
 

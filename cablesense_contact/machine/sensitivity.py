@@ -2,23 +2,25 @@
 
 At a pose r with tensions T, with k the stiffness of taut tendons and zero of slack ones,
 
-    δT = k δl + (T - T0) δln k + δT0 - T w δc,
+    δT = k δl + (T - T0) δln k + δT0 - T δc,
     δF = -Σ_k T_k δJ_k + δ(weights) + q_s δln k_s,
 
-where δl and δJ follow from displaced sites and joint zeros, w is the angle a tendon is wrapped by,
-c what friction carries, and q_s the forces of springs in joints. What does not depend on T and on
+where δl and δJ follow from displaced sites and joint zeros, c is the logarithm of how much more a
+tension stretches a tendon with friction (`tendon_friction`), whose pieces' tensions are in δJ too,
+and q_s are the forces of springs in joints. What does not depend on T and on
 the springs' own angles is taken once, near where the machine is: the sources.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.machine.tendon_friction import Carried
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -43,7 +45,7 @@ class Sensitivity(NamedTuple):
 class ParameterSources:
     """The S sources through which P parameters enter a machine with K tendons.
 
-    In this order: lengths, logarithms of stiffness, pretensions and carried friction of the K
+    In this order: lengths, logarithms of stiffness, pretensions and stretch by friction of the K
     tendons; their moments, n of each; the n weights; the logarithms of the springs' stiffness.
 
     Attributes:
@@ -93,18 +95,25 @@ class ParameterSources:
         self.rows[weights, slices["centre_of_mass"]] = by_places.T
         self.rows[weights, slices["base_tilt"]] = (tilts @ by_gravity).T
 
-        self._wrap_rad = np.zeros(tendons)
-        if machine.source.file.cables.friction_coefficient > 0.0:
-            friction = _by_friction(machine, built, pose)
-            self._wrap_rad = friction.wrap_rad
-            self.rows[carried, slices["carried_friction"]] = np.eye(tendons)
-            carried_numbers = np.arange(len(parameters))[slices["carried_friction"]]
-            moment[np.arange(tendons), :, carried_numbers] = friction.moment
-
         routed = _by_routing(machine, parameters, built, pose, balance)
         self.rows[lengths, slices["routing"]] = routed.length
         moment[:, :, slices["routing"]] = routed.moment
         self.rows[moments] = moment.reshape(tendons * count, len(parameters))
+
+    def rubbing(self, built: BuiltMachine, friction: Carried) -> ParameterSources:
+        """The sources of the same machine with friction, which is small beside its geometry."""
+        rubbing = copy.copy(self)
+        rubbing._built = built
+        rubbing.rows = self.rows.copy()
+        *_, carried, moments, _, _ = self._parts
+        numbers = np.arange(len(self._parameters))[self._parameters.carried_friction]
+        guides, tendons, count = friction.moment_by_carried_m.shape
+        tendon = np.tile(np.arange(tendons), guides)
+        rubbing.rows[carried.start + tendon, numbers] = friction.stretch_by_carried.ravel()
+        by_parameter = rubbing.rows[moments].reshape(-1, count, len(self._parameters))
+        by_carried = friction.moment_by_carried_m.reshape(guides * tendons, count)
+        by_parameter[tendon, :, numbers] = by_carried
+        return rubbing
 
     def entering(self, tensions_n: Array, pose: Array) -> Sensitivity:
         """How the sources enter at tensions (K,) and a pose (n,)."""
@@ -121,10 +130,10 @@ class ParameterSources:
         )
         # T = k (l - held) + T0: the tension itself, but for what was set by hand
         of_tensions[tendon_numbers, tendon_numbers + stiffness.start] = (
-            tensions_n - built.pretension_n * taut
+            tensions_n - built.pretension_n / built.stretch * taut
         )
-        of_tensions[tendon_numbers, tendon_numbers + pretension.start] = taut
-        of_tensions[tendon_numbers, tendon_numbers + carried.start] = -tensions_n * self._wrap_rad
+        of_tensions[tendon_numbers, tendon_numbers + pretension.start] = taut / built.stretch
+        of_tensions[tendon_numbers, tendon_numbers + carried.start] = -tensions_n
         of_forces[:, moments] = -np.kron(tensions_n, np.eye(count))
         of_forces[:, weights] = np.eye(count)
         of_forces[:, springs] = self._by_springs(pose)
@@ -195,79 +204,3 @@ def _by_routing(
         site_pos[ids] = nominal
     flat = 2 * site_count
     return _ByRouting(length.reshape(tendons, flat), moment.reshape(tendons, count, flat))
-
-
-class _Carried(NamedTuple):
-    """What friction at the bends of tendons carries, for a unit coefficient that slides fully.
-
-    Attributes:
-        moment: (K, n) moments of the tendons, each piece by the angle wrapped before it.
-        wrap_rad: (K,) that angle, as a mean over the length.
-    """
-
-    moment: Array
-    wrap_rad: Array
-
-
-def _by_friction(machine: Machine, built: BuiltMachine, pose: Array) -> _Carried:
-    """By the polygon of each tendon: straight pieces between sites and points of contact."""
-    model = built.statics.model
-    coordinates = machine.coordinates
-    data = mujoco.MjData(model)
-    qpos = coordinates.positions(pose)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_tendon(model, data)
-    slope = coordinates.slope(qpos)
-    moments = np.zeros((len(machine.tendons.ids), len(coordinates)))
-    wraps = np.zeros(len(machine.tendons.ids))
-    for row, t in enumerate(machine.tendons.ids.tolist()):
-        first = int(data.ten_wrapadr[t])
-        count = int(data.ten_wrapnum[t])
-        points = data.wrap_xpos.reshape(-1, 3)[first : first + count]
-        objects = data.wrap_obj.reshape(-1)[first : first + count]
-        bodies = _bodies_of(model, t, objects)
-        jacobians = [_point_slope(model, data, *pair) for pair in zip(points, bodies, strict=True)]
-        along: Array | None = None
-        wrapped = 0.0
-        total_m = 0.0
-        for start in range(count - 1):
-            piece = points[start + 1] - points[start]
-            length_m = float(np.linalg.norm(piece))
-            if length_m < 1e-9 or objects[start] == -2 or objects[start + 1] == -2:
-                continue
-            direction = piece / length_m
-            if along is not None:
-                wrapped += float(np.arccos(np.clip(direction @ along, -1.0, 1.0)))
-            along = direction
-            lengthening = direction @ (jacobians[start + 1] - jacobians[start])
-            moments[row] += wrapped * (lengthening @ slope)
-            wraps[row] += wrapped * length_m
-            total_m += length_m
-        wraps[row] /= max(total_m, 1e-9)
-    return _Carried(moments, wraps)
-
-
-def _bodies_of(model: mujoco.MjModel, tendon: int, objects: Array) -> list[int]:
-    """Bodies of the points of a tendon's polygon: of geoms by number, of sites in their order."""
-    first = int(model.tendon_adr[tendon])
-    wraps = range(first, first + int(model.tendon_num[tendon]))
-    site = mujoco.mjtWrap.mjWRAP_SITE
-    sites = iter([int(model.wrap_objid[w]) for w in wraps if model.wrap_type[w] == site])
-    bodies = []
-    for number in objects.tolist():
-        if number >= 0:
-            bodies.append(int(model.geom_bodyid[number]))
-        elif number == -1:
-            bodies.append(int(model.site_bodyid[next(sites)]))
-        else:
-            bodies.append(0)
-    return bodies
-
-
-def _point_slope(model: mujoco.MjModel, data: mujoco.MjData, point: Array, body: int) -> Array:
-    """(3, nv) derivative of a point that is fixed to a body."""
-    slope = np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, slope, None, point, body)
-    return slope

@@ -19,12 +19,12 @@ class BuiltMachine:
         statics: with the model that the deviations make.
         pretension_n: (K,) of the tendons at the reference pose.
         gain, zero: (M,) of the channels.
+        stretch: (K,) of a tendon by its tension at the actuator, over that without friction.
         joint_zero: (n,) of the commands or the readings of joints.
-        carried_friction: (K,) of the tendons.
     """
 
     def __init__(self, machine: Machine, parameters: MachineParameters, theta: Array) -> None:
-        """`theta` (P,) are deviations; see `MachineParameters`."""
+        """`theta` (P,) are deviations, see `MachineParameters`; what friction carries is left."""
         slices = parameters.slices
         model = copy.copy(machine.model)
         bodies = parameters.bodies
@@ -41,6 +41,7 @@ class BuiltMachine:
         stiffness = machine.tendons.stiffness_n_m * np.exp(theta[slices["tendon_stiffness"]])
         self.statics = MachineStatics(machine, model, stiffness)
         self.pretension_n = machine.tendons.pretension_n + theta[slices["pretension"]]
+        self.stretch = np.ones(len(stiffness))
         self.gain = 1.0 + theta[slices["sensor_gain"]]
         self.zero = np.zeros(len(self.gain))
         self.zero[parameters.is_force] = theta[slices["sensor_zero"]]
@@ -49,4 +50,10 @@ class BuiltMachine:
         self.joint_zero = np.zeros(len(is_hinge))
         self.joint_zero[is_hinge] = theta[slices["joint_zero"]]
         self.joint_zero[~is_hinge] = theta[slices["slide_zero"]]
-        self.carried_friction = theta[slices["carried_friction"]]
+
+    def rubbing(self, beside_m: Array, stretch: Array) -> BuiltMachine:
+        """The same with friction of its tendons; see `MachineStatics.rubbing`."""
+        rubbing = copy.copy(self)
+        rubbing.statics = self.statics.rubbing(beside_m, stretch)
+        rubbing.stretch = stretch
+        return rubbing

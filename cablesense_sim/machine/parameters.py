@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim.machine.machine import Machine
-from cablesense_sim.parameter_groups import GroupedParameters, ParameterGroup
+from cablesense_sim.machine.tendon_guides import TendonGuides
+from cablesense_sim.parameter_groups import CARRIED_FRICTION, GroupedParameters, ParameterGroup
 
 _AXES = ("x", "y", "z")
 
@@ -41,8 +42,8 @@ class MachineParameters(GroupedParameters):
     (share), and the centre along x, y and z (m), all along x first. Of the joints with springs:
     stiffness (share). The tilt of the base about the model's x and y axes (rad). Of the M
     channels: gain (share), and zero, of forces and of torques (N, N·m). Of the n coordinates: zero
-    of their command or reading (rad, m). Last the coefficient of friction, and what each tendon's
-    friction carries at its joints (see `carried_friction` of the arm): K of them.
+    of their command or reading (rad, m). Last the coefficient of friction, and, if there is any, what
+    the tendons that are read carry of it at each guide (`tendon_guides`), one guide after another.
 
     Attributes:
         routing: the sites.
@@ -55,6 +56,8 @@ class MachineParameters(GroupedParameters):
         tolerances = machine.source.file.tolerances
         model = machine.model
         tendons = machine.tendons.names
+        guides = _guides(machine)
+        self._has_no_guide = ~guides
         channels = machine.channels
         self.routing = _routing(machine)
         self.bodies = np.array(
@@ -83,6 +86,10 @@ class MachineParameters(GroupedParameters):
         slides = tuple(n for n in names if n not in angles)
         half = 0.5 * machine.source.file.cables.friction_coefficient
         carried = float(np.hypot(half, half))
+        rubbed = [
+            tuple(f"{tendon} at guide {g}" for tendon in tendons[: guides.shape[1]])
+            for g in range(len(guides))
+        ]
         tilt_rad = float(np.deg2rad(tolerances.base_tilt_deg))
         zero_rad = float(np.deg2rad(tolerances.joint_zero_deg))
         group = ParameterGroup
@@ -101,9 +108,26 @@ class MachineParameters(GroupedParameters):
                 group("joint_zero", "rad", angles, zero_rad),
                 group("slide_zero", "m", slides, tolerances.joint_zero_m),
                 group("friction", "1", ("machine",), half, half),
-                group("carried_friction", "1", tendons, carried),
+                *(
+                    group(f"{CARRIED_FRICTION}_{g}", "1", places, carried)
+                    for g, places in enumerate(rubbed)
+                ),
             )
         )
+
+    @property
+    def prior_std(self) -> Array:
+        """(P,) standard deviations by the tolerances; zero where a tendon has no such guide."""
+        std = super().prior_std
+        std[self.carried_friction][self._has_no_guide.ravel()] = 0.0
+        return std
+
+
+def _guides(machine: Machine) -> NDArray[np.bool_]:
+    """(G, M) whether tendons that are read bend at guides; none where no friction is stated."""
+    if machine.source.file.cables.friction_coefficient == 0.0:
+        return np.zeros((0, 0), dtype=bool)
+    return TendonGuides(machine).exists
 
 
 def _routing(machine: Machine) -> RoutingSites:

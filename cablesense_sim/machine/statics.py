@@ -12,6 +12,7 @@ differences, as only these cover paths around geoms, pulleys and joints that fol
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -49,11 +50,14 @@ class Balance(NamedTuple):
         length_m: (K,) of the tendons.
         moment: (K, n) ∂l/∂r.
         load: (n,) generalised forces of weights and of springs in joints.
+        pull: (K, n) generalised forces of unit tensions, against them: the moments, but for what
+            friction makes of tensions along a tendon.
     """
 
     length_m: Array
     moment: Array
     load: Array
+    pull: Array
 
 
 class LinkFrames(NamedTuple):
@@ -130,6 +134,7 @@ class MachineStatics:
         self.model = machine.model if model is None else model
         tendons = machine.tendons
         self.stiffness_n_m = tendons.stiffness_n_m if stiffness_n_m is None else stiffness_n_m
+        self._beside_m: Array | None = None
         self._data = mujoco.MjData(self.model)
         self._coordinates = machine.coordinates
         self._tied = bool(machine.coordinates.ties)
@@ -161,10 +166,20 @@ class MachineStatics:
             mujoco.mj_passive(model, data)
             load += data.qfrc_passive
         self._path_slopes[:-1] = data.ten_J.reshape(-1)
-        moment = self._path_slopes[self._moment_places]
-        return Balance(
-            data.ten_length[self._tendon_ids], self._reduced(moment), self._reduced(load)
-        )
+        moment = self._reduced(self._path_slopes[self._moment_places])
+        length_m = data.ten_length[self._tendon_ids]
+        return Balance(length_m, moment, self._reduced(load), self._pull(moment))
+
+    def rubbing(self, beside_m: Array, stretch: Array) -> MachineStatics:
+        """The same machine with friction, near a pose; it shares the pose that was asked for last.
+
+        A unit tension at the actuator pulls with moments (K, n) `beside_m` those of an even one,
+        and stretches its tendon by `stretch` (K,) times as much.
+        """
+        rubbing = copy.copy(self)
+        rubbing.stiffness_n_m = self.stiffness_n_m / stretch
+        rubbing._beside_m = beside_m
+        return rubbing
 
     def tensions_n(self, lengths_m: Array, unstretched_m: Array) -> Array:
         """(K,) tensions at lengths (K,), of cables that pull and never push."""
@@ -174,7 +189,7 @@ class MachineStatics:
         """(n,) F: generalised forces that nothing balances at a pose (n,)."""
         balance = self.at(pose)
         tensions = self.tensions_n(balance.length_m, unstretched_m)
-        return np.asarray(balance.load - tensions @ balance.moment)
+        return np.asarray(balance.load - tensions @ balance.pull)
 
     def slope(self, pose: Array, unstretched_m: Array) -> Array:
         """(n, n) ∂F/∂r at a pose (n,): of weights, springs and paths, and -J' K J of tendons."""
@@ -186,7 +201,7 @@ class MachineStatics:
     def elastic_slope(self, moment: Array, tensions_n: Array) -> Array:
         """(n, n) -J' K J of the tendons that are taut, with moments (K, n)."""
         stiffness = self.stiffness_n_m * (tensions_n > 0.0)
-        return np.asarray((moment.T * -stiffness) @ moment)
+        return np.asarray((self._pull(moment).T * -stiffness) @ moment)
 
     def load_slope(self, pose: Array, tensions_n: Array) -> Array:
         """(n, n) derivative by the pose of the forces at constant tensions (K,)."""
@@ -288,6 +303,9 @@ class MachineStatics:
                 constant = self._slope_at(here.pose, here.tensions_n, acting)
         raise self._no_rest()
 
+    def _pull(self, moment: Array) -> Array:
+        return moment if self._beside_m is None else moment + self._beside_m
+
     def _no_rest(self) -> MachineError:
         return MachineError(
             f"{self.machine.name}: finds no rest; a force may be larger than the tendons can "
@@ -326,7 +344,7 @@ class MachineStatics:
     def _state(self, pose: Array, unstretched_m: Array, acting: Sequence[_Acting]) -> _State:
         balance = self.at(pose)
         tensions_n = self.tensions_n(balance.length_m, unstretched_m)
-        residual = balance.load - tensions_n @ balance.moment + self._contacts(acting)
+        residual = balance.load - tensions_n @ balance.pull + self._contacts(acting)
         return _State(pose, tensions_n, balance.moment, residual)
 
     def _acting(self, force: LinkForce) -> _Acting:

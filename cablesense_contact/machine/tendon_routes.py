@@ -1,0 +1,73 @@
+"""The tendons of a machine that MuJoCo describes, as slides follow from them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_sim.machine.holding import Holding
+from cablesense_sim.machine.machine import Machine
+from cablesense_sim.machine.statics import MachineStatics
+
+_MOVED_STD = 5.0
+"""A cable has moved if its reading has changed by this many deviations of a reading."""
+_LEAST_WRAP_RAD = 0.2
+"""Angle that counts for when a tendon slides back where it goes straight in the reference pose: it
+bends in others."""
+
+
+class TendonRoutes:
+    """A `cablesense_contact.cable_routes.CableRoutes` of the tendons that are read.
+
+    Attributes:
+        compliance_m_n, pretension_n, wrap_rad, moved_n, are_followed: see there. Where joints are
+            measured, tensions are what drives give, and nothing is followed.
+    """
+
+    def __init__(self, machine: Machine, friction: TendonFriction) -> None:
+        channels = machine.channels
+        tendons = machine.tendons
+        is_tension = channels.tendon >= 0
+        read = channels.tendon[is_tension]
+        self._machine = machine
+        self._guides = friction.guides
+        self._statics = MachineStatics(machine)
+        self._holding = Holding(machine)
+        self.compliance_m_n = friction.compliance_share / tendons.stiffness_n_m[read, None]
+        self.pretension_n = tendons.pretension_n[read]
+        exists = self._guides.exists.T
+        wrap_rad = self._guides.at(machine.reference).wrap_rad
+        self.wrap_rad = np.where(exists, np.maximum(wrap_rad, _LEAST_WRAP_RAD), 0.0)
+        variance = channels.variance[is_tension]
+        self.moved_n = _MOVED_STD * math.sqrt(float(variance.max(initial=0.0)))
+        self.are_followed = not machine.is_measured
+
+    def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:
+        """See `CableRoutes`."""
+        shares = np.linspace(0.0, 1.0, steps + 1)
+        way = [from_command + share * (to_command - from_command) for share in shares]
+        return np.array([self._guides.at(self._pose(command)).length_m for command in way])
+
+    def slope_m(self, command: Array) -> Array:
+        """See `CableRoutes`."""
+        return self._guides.at(self._pose(command)).slope_m
+
+    def _pose(self, command: Array) -> Array:
+        """(n,) about where the machine is: as commanded, or where its actuators' lengths take it.
+
+        Raises:
+            MachineError: it finds no rest.
+        """
+        machine = self._machine
+        if machine.source.file.joints == "commanded":
+            return command
+        pretension_n = machine.tendons.pretension_n
+        nothing = np.zeros(len(machine.coordinates))
+        unstretched_m = self._holding.unstretched_m(
+            command, self._statics, pretension_n, nothing
+        )
+        pose, _ = self._statics.rest(unstretched_m, (), machine.reference)
+        return pose
