@@ -188,6 +188,8 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
                 0.5 * (high_n - low_n) / contact.lateral_n,
             )
         )
+    if not rows:
+        return {"contacts": len(touched), "answered": 0.0}
     is_contact, off_mm, off_share, in_region, in_force, width = np.array(rows, dtype=float).T
     known = is_contact > 0.0
 
@@ -229,16 +231,19 @@ def main() -> None:
     options.add_argument("--built", type=int, default=30, help="machines of each case")
     options.add_argument("--machines", nargs="*", default=list(MACHINES), help="some of them")
     options.add_argument("--ways", nargs="*", default=list(WAYS), help="some of them")
+    options.add_argument(
+        "--coefficients", nargs="*", type=float, default=list(COEFFICIENTS), help="of friction"
+    )
     options.add_argument("--seed", type=int, default=8301, help="of the machines and contacts")
     given = options.parse_args()
     result: dict[str, Any] = {}
     bars: dict[str, bool] = {}
     for name in given.machines:
-        for coefficient in COEFFICIENTS:
+        for coefficient in given.coefficients:
             for way in given.ways:
                 figures = judged(name, coefficient, way, given.built, given.seed)
                 result.setdefault(name, {}).setdefault(f"{coefficient:g}", {})[way] = figures
-                if way == "unstated":
+                if way == "unstated" or not figures["answered"]:
                     continue
                 for what in ("place interval holds", "force interval holds"):
                     bar = f"{name}, {coefficient:g}, {way}: {what}: {figures[what]:g}"

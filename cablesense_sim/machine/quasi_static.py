@@ -128,6 +128,11 @@ class QuasiStaticMachine:
         return AtRest(state.pose, tensions_n, built.gain * values + built.zero)
 
     @property
+    def pose(self) -> Array:
+        """(n,) at the last rest."""
+        return self._pose.copy()
+
+    @property
     def piece_tensions_n(self) -> Array:
         """(K, S) of the pieces at the last rest."""
         return self._tensions_n.copy()

@@ -5,6 +5,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
+import yaml
 
 from cablesense_base import Array
 from cablesense_sim.machine.holding import Holding
@@ -34,3 +35,13 @@ def bent_command(machine: Machine, seed: int, reach_deg: float = 8.0) -> Array:
     away = np.deg2rad(rng.uniform(-reach_deg, reach_deg, len(coordinates)))
     pose = machine.reference + np.where(coordinates.is_hinge, away, 0.0)
     return Holding(machine).command_of(pose)
+
+
+def machine_with_friction(name: str, coefficient: float, folder: Path) -> Machine:
+    """An example machine whose file, written to a folder, states a coefficient of friction."""
+    content = yaml.safe_load((MACHINES / f"{name}.yaml").read_text())
+    content["cables"]["friction_coefficient"] = coefficient
+    content["model"] = str(MACHINES / content["model"])
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return open_machine(path)
