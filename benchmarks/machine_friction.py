@@ -15,17 +15,18 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from enum import StrEnum
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import harness
 import numpy as np
-import yaml
 from estimation_settings import estimation_settings
 from machines import FOLDER, TARE_READINGS, Bench, Contact
 from rich.progress import track
 
 from cablesense_base import Array
+from cablesense_base.workers import WorkerPool
 from cablesense_contact.cable_slides import CableSlides, FrictionParameters
 from cablesense_contact.calibration import CalibrationError, Unloaded
 from cablesense_contact.felt import FeltMachine
@@ -37,7 +38,8 @@ from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine, open_machine
-from cablesense_sim.machine.quasi_static import RUN_COMPLIANCE, QuasiStaticMachine
+from cablesense_sim.machine.quasi_static import QuasiStaticMachine
+from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE
 
 COEFFICIENTS = (0.02, 0.05)
 MACHINES = ("finger", "seven_hinges")
@@ -88,8 +90,7 @@ class Walk:
         tared = bench.machine.channels.read(np.tile(values, (TARE_READINGS, 1)), rng)
         calibrator = self._arm.calibrator
         calibration = calibrator.updated(
-            calibrator.by_tolerances(),
-            Unloaded(tared.mean(axis=0), reference, TARE_READINGS),
+            calibrator.by_tolerances(), Unloaded(tared.mean(axis=0), reference, TARE_READINGS)
         )
         self._state = self._arm.at(self._arm.begin(calibration), reference)
 
@@ -152,12 +153,13 @@ class NotFollowed(FeltModel):
 
 def stated_machine(name: str, coefficient: float) -> Machine:
     """An example machine whose file states a coefficient of friction."""
-    content = yaml.safe_load((FOLDER / f"{name}.yaml").read_text())
-    content["cables"]["friction_coefficient"] = coefficient
+    file = open_machine(FOLDER / f"{name}.yaml").source.file
+    cables = file.cables.model_copy(update={"friction_coefficient": coefficient})
+    model = str((FOLDER / file.model).resolve())
+    changed = file.model_copy(update={"cables": cables, "model": model})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.yaml"
-        content["model"] = str((FOLDER / content["model"]).resolve())
-        path.write_text(yaml.safe_dump(content))
+        path.write_text(changed.model_dump_json())
         return open_machine(path)
 
 
@@ -210,13 +212,13 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
     }
 
 
-def judged(name: str, coefficient: float, way: str, count: int, seed: int) -> dict[str, Any]:
-    """One machine with a coefficient, in one of the ways of knowing it."""
+def judged(count: int, seed: int, name: str, coefficient: float, way: str) -> dict[str, Any]:
+    """Many built of one machine with a coefficient, in one of the ways of knowing it."""
     bench = Bench(stated_machine(name, 0.0 if way == "unstated" else coefficient))
     felt = FeltModel(bench.machine) if way == "followed" else NotFollowed(bench.machine)
     answers: list[Answer] = []
     refused = 0
-    for number in track(range(count), f"{name}, {coefficient:g}, {way}"):
+    for number in range(count):
         rng = np.random.default_rng([seed, MACHINES.index(name), round(1e3 * coefficient), number])
         try:
             answers += Walk(bench, felt, coefficient, rng).answers(rng)
@@ -235,19 +237,20 @@ def main() -> None:
         "--coefficients", nargs="*", type=float, default=list(COEFFICIENTS), help="of friction"
     )
     options.add_argument("--seed", type=int, default=8301, help="of the machines and contacts")
+    options.add_argument("--workers", type=int, default=2, help="processes")
     given = options.parse_args()
+    cases = list(product(given.machines, given.coefficients, given.ways))
     result: dict[str, Any] = {}
     bars: dict[str, bool] = {}
-    for name in given.machines:
-        for coefficient in given.coefficients:
-            for way in given.ways:
-                figures = judged(name, coefficient, way, given.built, given.seed)
-                result.setdefault(name, {}).setdefault(f"{coefficient:g}", {})[way] = figures
-                if way == "unstated" or not figures["answered"]:
-                    continue
-                for what in ("place interval holds", "force interval holds"):
-                    bar = f"{name}, {coefficient:g}, {way}: {what}: {figures[what]:g}"
-                    bars[f"{bar}, at least {HOLDS:g}"] = figures[what] >= HOLDS
+    with WorkerPool(given.workers, given.built, given.seed) as pool:
+        judgements = track(pool.map(judged, *zip(*cases, strict=True)), total=len(cases))
+        for (name, coefficient, way), figures in zip(cases, judgements, strict=True):
+            result.setdefault(name, {}).setdefault(f"{coefficient:g}", {})[way] = figures
+            if way != "followed" or not figures["answered"]:
+                continue
+            for what in ("place interval holds", "force interval holds"):
+                bar = f"{name}, {coefficient:g}: {what}: {figures[what]:g}, at least {HOLDS:g}"
+                bars[bar] = figures[what] >= HOLDS
     result["bars"] = bars
     harness.publish("machine_friction.json", result, given, "mujoco", "numpy", "onnxruntime")
 

@@ -47,10 +47,10 @@ REACH_DEG = 5.0
 PUSHED = (0.2, 0.8)
 """Forces that servos aim at, as shares of the largest that a file expects."""
 DAMPING_SHARE = 0.3
-STEPS = 6000
-AT_REST = 1e-4
-"""Largest force of inertia and dampers over that of the contact: the engine's friction is a damper
-with a limit, so that a rough contact creeps for ever, by however little."""
+STEPS = 20_000
+AT_REST = 1e-5
+"""Largest force of inertia and dampers over that of the contact. Rough obstacles slide for seconds
+before they stop, or creep, as the engine's friction is a damper with a limit."""
 _TINY = 1e-12
 LEAST_SHARE = 0.05
 """Of the largest force: a contact is no weaker."""

@@ -1,4 +1,4 @@
-"""What is known of the slides of a machine's cables, and what friction therefore adds to its tensions.
+"""What is known of the slides of cables, and what friction therefore adds to their tensions.
 
 The slide u times the coefficient μ is the carried friction ε. With a coefficient that is known to
 its mean and variance only,
@@ -8,8 +8,8 @@ its mean and variance only,
 
 where x is any other parameter, and slides are independent of μ.
 
-Slides of the unloaded machine follow from its motion, which passes cable over the guides, and those
-under a load from changes of the readings (`slides_under_load`).
+Slides of the unloaded machine follow from its motion, which passes cable over the guides, and
+those under a load from changes of the readings (`slides_under_load`).
 """
 
 from __future__ import annotations

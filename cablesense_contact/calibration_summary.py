@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_contact.calibration import Calibration
-from cablesense_sim.parameter_groups import GroupedParameters
-from cablesense_sim.parameter_groups import CARRIED_FRICTION
+from cablesense_sim.parameter_groups import CARRIED_FRICTION, GroupedParameters
 
 DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""

@@ -68,7 +68,7 @@ class ParameterSources:
         count = len(pose)
         sizes = [tendons] * 4 + [tendons * count, count, len(parameters.springs)]
         self._parts = list(_successive(sizes))
-        lengths, stiffness, pretension, carried, moments, weights, springs = self._parts
+        lengths, stiffness, pretension, _, moments, weights, springs = self._parts
         slices = parameters.slices
         self.rows = np.zeros((sum(sizes), len(parameters)))
         balance = built.statics.at(pose)

@@ -17,10 +17,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.machine.machine import Machine
-from cablesense_sim.machine.tendon_guides import GuidesAtPose, TendonGuides
-
-RUN_COMPLIANCE = 0.5
-"""Compliance before a tendon's first site, over that behind it: drive, sensor and a short piece."""
+from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, GuidesAtPose, TendonGuides
 
 
 class Carried(NamedTuple):

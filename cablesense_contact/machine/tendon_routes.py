@@ -66,8 +66,6 @@ class TendonRoutes:
             return command
         pretension_n = machine.tendons.pretension_n
         nothing = np.zeros(len(machine.coordinates))
-        unstretched_m = self._holding.unstretched_m(
-            command, self._statics, pretension_n, nothing
-        )
+        unstretched_m = self._holding.unstretched_m(command, self._statics, pretension_n, nothing)
         pose, _ = self._statics.rest(unstretched_m, (), machine.reference)
         return pose

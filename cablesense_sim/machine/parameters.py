@@ -42,8 +42,9 @@ class MachineParameters(GroupedParameters):
     (share), and the centre along x, y and z (m), all along x first. Of the joints with springs:
     stiffness (share). The tilt of the base about the model's x and y axes (rad). Of the M
     channels: gain (share), and zero, of forces and of torques (N, N·m). Of the n coordinates: zero
-    of their command or reading (rad, m). Last the coefficient of friction, and, if there is any, what
-    the tendons that are read carry of it at each guide (`tendon_guides`), one guide after another.
+    of their command or reading (rad, m). Last the coefficient of friction, and, if there is any,
+    what the tendons that are read carry of it at each guide (`tendon_guides`), one guide after
+    another.
 
     Attributes:
         routing: the sites.

@@ -21,14 +21,13 @@ from cablesense_sim.cable_chain import CableChains
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.simulated import AtRest, SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, force_on
+from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE
 from cablesense_sim.machine.tendon_paths import TendonPaths
 
-RUN_COMPLIANCE = 0.5
-"""Compliance before a tendon's first site, over that behind it: drive, sensor and a short piece."""
 _SHORTEST_SHARE = 1e-3
 """Of a tendon's compliance behind its first site: pieces have no less, however short."""
 _LEAST_LIMIT = 1e-6
-"""Logarithm of the ratio of tensions that every bend holds: it spares cables that slip for ever."""
+"""Logarithm of the ratio of tensions that every bend holds: else some cables slip for ever."""
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
 _LONGEST = 0.02
@@ -36,7 +35,7 @@ _LONGEST = 0.02
 _MOST_STEPS = 200
 _CUT = 0.5
 _SMALLEST_SHARE = 1e-3
-_STEPS_OF_WAY = 8
+_RESTS_ON_A_WAY = 8
 """Rests by which a machine comes to the next command or load: it slides on the way."""
 
 
@@ -82,7 +81,7 @@ class QuasiStaticMachine:
         machine = simulated.machine
         if machine.is_measured:
             raise MachineError(
-                f"{machine.name}: friction of tendons is simulated of machines that are commanded; "
+                f"{machine.name}: friction of tendons is simulated where joints are commanded; "
                 "this one states joints: measured"
             )
         self._simulated = simulated
@@ -111,21 +110,26 @@ class QuasiStaticMachine:
         simulated = self._simulated
         axes = simulated.frames(command, simulated.untouched(command)).axes
         forces = [replace(one, force_n=axes[one.link] @ one.force_n) for one in contacts]
+        return self.under(command, forces, _RESTS_ON_A_WAY)
+
+    def under(self, command: Array, forces: Sequence[LinkForce], rests: int = 1) -> AtRest:
+        """At rest at a command (C,) under forces in base axes, after as many rests on the way.
+
+        Raises:
+            MachineError: it finds no rest.
+        """
         begun_m = self._unstretched_m
-        wanted_m = simulated.unstretched_m(command)
+        wanted_m = self._simulated.unstretched_m(command)
         earlier = self._forces
-        state: _State | None = None
-        for share in np.linspace(0.0, 1.0, _STEPS_OF_WAY + 1)[1:]:
+        for share in np.linspace(0.0, 1.0, rests + 1)[1:]:
             acting = [*_scaled(earlier, 1.0 - share), *_scaled(forces, share)]
-            state = self._rest(begun_m + share * (wanted_m - begun_m), acting)
-            self._settle(state)
-        assert state is not None
+            self._settle(self._rest(begun_m + share * (wanted_m - begun_m), acting))
         self._unstretched_m = wanted_m
         self._forces = tuple(forces)
-        built = simulated.built
-        tensions_n = state.tensions_n[:, 0]
-        values = tensions_n[simulated.machine.channels.tendon]
-        return AtRest(state.pose, tensions_n, built.gain * values + built.zero)
+        built = self._simulated.built
+        tensions_n = self._tensions_n[:, 0]
+        values = tensions_n[self._simulated.machine.channels.tendon]
+        return AtRest(self._pose, tensions_n, built.gain * values + built.zero)
 
     @property
     def pose(self) -> Array:
@@ -138,7 +142,7 @@ class QuasiStaticMachine:
         return self._tensions_n.copy()
 
     def _compliance_m_n(self, run_compliance: float) -> Array:
-        """(K, S) of the pieces, by their lengths in the reference pose; the first has the run's."""
+        """(K, S) of the pieces, by their lengths in the reference pose; the first has the run."""
         length_m = self._paths.at(self._simulated.machine.reference).length_m
         is_piece = self._paths.is_piece
         shares = length_m / length_m.sum(axis=1, keepdims=True)

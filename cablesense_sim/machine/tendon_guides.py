@@ -18,6 +18,9 @@ from cablesense_base import Array
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.tendon_paths import TendonPaths
 
+RUN_COMPLIANCE = 0.5
+"""Of what lies before a tendon's first site, over that behind it: drive, sensor, a short piece."""
+
 
 class GuidesAtPose(NamedTuple):
     """M tendons over G guides at a pose, zero beyond the last guide of a tendon.

@@ -196,9 +196,7 @@ class TendonPaths:
                     touched[row, one.element] = points[place].copy(), points[place + 1].copy()
         return touched
 
-    def _around(
-        self, before: Array, behind: Array, marks: Array
-    ) -> tuple[Array, Array]:
+    def _around(self, before: Array, behind: Array, marks: Array) -> tuple[Array, Array]:
         """Arcs (K, S) that pieces have on geoms next to them, and turns (K, S - 1) there.
 
         A mark is where the arc before it ends, as a direction from the geom's middle in its frame.
@@ -305,8 +303,10 @@ def _elements(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, float]
 
 
 def _bends(along: Array, is_piece: NDArray[np.bool_]) -> Array:
-    """(K, S - 1) angles between one direction (K, S, 3) and the next; pieces without one have that
-    of the piece before."""
+    """(K, S - 1) angles between one direction (K, S, 3) and the next.
+
+    A piece without one has that of the piece before.
+    """
     directions = along.copy()
     for piece in range(1, directions.shape[1]):
         lacks = is_piece[:, piece] & ~directions[:, piece].any(axis=-1)

@@ -5,7 +5,6 @@ from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
-import yaml
 
 from cablesense_base import Array
 from cablesense_sim.machine.holding import Holding
@@ -39,9 +38,9 @@ def bent_command(machine: Machine, seed: int, reach_deg: float = 8.0) -> Array:
 
 def machine_with_friction(name: str, coefficient: float, folder: Path) -> Machine:
     """An example machine whose file, written to a folder, states a coefficient of friction."""
-    content = yaml.safe_load((MACHINES / f"{name}.yaml").read_text())
-    content["cables"]["friction_coefficient"] = coefficient
-    content["model"] = str(MACHINES / content["model"])
+    file = example_machine(name).source.file
+    cables = file.cables.model_copy(update={"friction_coefficient": coefficient})
+    changed = file.model_copy(update={"cables": cables, "model": str(MACHINES / file.model)})
     path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(content))
+    path.write_text(changed.model_dump_json())
     return open_machine(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,14 @@ from numpy.testing import assert_allclose
 
 from cablesense_base import Array
 from cablesense_contact.machine.observation import Observer
-from cablesense_contact.machine.tendon_friction import RUN_COMPLIANCE, TendonFriction
+from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.quasi_static import QuasiStaticMachine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
-from cablesense_sim.machine.tendon_guides import TendonGuides
+from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, TendonGuides
 from cablesense_sim.machine.tendon_paths import TendonPaths
 from tests.helpers.example_machines import (
     bent_command,
@@ -121,7 +122,7 @@ def test_without_friction_it_is_the_machine_without_friction() -> None:
 
 
 def test_a_rope_over_a_pulley_obeys_euler_and_eytelwein(hoist: Machine) -> None:
-    """Lifting, the winch pulls with exp(μ π/2) times what the spring takes; lowering, with exp(-)."""
+    """Lifting, the winch pulls exp(μ π/2) times as hard as the spring; lowering, exp(-μ π/2)."""
     moving = QuasiStaticMachine(as_described(hoist), np.zeros(1), COEFFICIENT)
     ratio = np.exp(0.5 * np.pi * COEFFICIENT)
     lifted = moving.go(np.array([0.02]))
@@ -176,7 +177,7 @@ def carried_by(moving: QuasiStaticMachine, machine: Machine, friction: TendonFri
     for row in range(len(wrap_rad)):
         spans = np.flatnonzero(paths.crosses[row])
         first = np.concatenate([[0], spans])
-        for guide, (before, behind) in enumerate(zip(first[:-1], first[1:], strict=True)):
+        for guide, (before, behind) in enumerate(pairwise(first)):
             if wrap_rad[row, guide] > 1e-3:
                 ratio = tension_n[row, behind] / tension_n[row, before]
                 carried[row, guide] = np.log(ratio) / wrap_rad[row, guide]
