@@ -94,8 +94,8 @@ class Cables(FilePart):
             and of the position servo that draws it, in series.
         pretension_n: at the reference pose, of all or by name; by default what the model has
             there.
-        friction_coefficient: of tendons over sites, pulleys and geoms: from none to this. Half of
-            it is mean and deviation.
+        friction_coefficient: of tendons that are read, over sites, pulleys and geoms: from none to
+            this. Half of it is mean and deviation.
         unread: tendons that nothing reads and that are springs, which is thereby known.
     """
 

@@ -93,6 +93,29 @@ def test_links_are_right_and_intervals_hold(
     assert in_force.mean() > 0.86
 
 
+def test_where_a_moment_alone_is_told_the_force_is_that_of_any_link() -> None:
+    """Across a finger one hinge feels: the interval holds the force on either phalanx."""
+    machine = example_machine("finger")
+    trial = Trial(machine, seed=15, scale=0.0)
+    command = machine.reference
+    built = trial.machine_as_built()
+    untouched = built.untouched(command)
+    readings = []
+    pushed_n = []
+    for link, lateral_n in ((1, 0.4), (2, 0.35)):
+        place_m = float(machine.links.touched_m[link].mean())
+        contact = LinkForce(link, np.array([place_m, 0.0, 0.0]), np.array([0.0, lateral_n, 0.0]))
+        rest = built.touched(command, (contact,), untouched)
+        readings.append(machine.channels.read(rest.values, trial.rng))
+        pushed_n.append(lateral_n)
+    seen = trial.stated(np.array(readings), np.tile(command, (2, 1)))
+    low_n, high_n = seen.magnitude_ci95_n.T
+    assert (low_n < pushed_n).all()
+    assert (pushed_n < high_n).all()
+    # a push on the first phalanx with the same moment is more than twice as hard
+    assert (high_n > 2.0 * np.array(pushed_n)).all()
+
+
 @pytest.mark.parametrize("name", ["finger", "seven_hinges", "hand", "continuum", "six_axis"])
 def test_an_untouched_machine_within_tolerances_is_not_touched(name: str) -> None:
     machine = example_machine(name)

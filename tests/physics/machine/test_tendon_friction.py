@@ -10,8 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cablesense_base import Array
+from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.observation import Observer
 from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.slides import Belief
+from cablesense_online.moving_machine import MovingMachine
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -230,3 +233,54 @@ def test_derivatives_by_what_is_carried(tmp_path: Path) -> None:
             ends.append(observed.innovation)
         slope = (ends[0] - ends[1]) / (2.0 * step)
         assert_allclose(seen.by_parameter[:, number], slope, rtol=0.03, atol=0.5)
+
+
+@pytest.mark.slow
+def test_followed_slides_are_those_of_the_machine_that_rubs(tmp_path: Path) -> None:
+    """After motions nearly always; under a contact mostly, as they follow from few readings."""
+    coefficient = 0.05
+    machine = machine_with_friction("finger", coefficient, tmp_path)
+    felt = FeltModel(machine)
+    friction = TendonFriction(machine)
+    mean = felt.parameters.prior_mean.copy()
+    mean[felt.parameters.slices["friction"]] = coefficient
+    known = Belief(mean, np.zeros((len(mean), len(mean))))
+    exists = friction.guides.exists.ravel()
+    rng = np.random.default_rng(11)
+    came_right = []
+    touched_right = []
+    for _ in range(3):
+        command = machine.reference
+        moving = QuasiStaticMachine(as_described(machine), command, coefficient)
+        for _ in range(3):
+            before = command
+            command = machine.reference + np.deg2rad(rng.uniform(-10.0, 10.0, len(before)))
+            untouched = moving.go(command)
+            came = felt.slides.after_motion(before, command)
+            truth = np.sign(carried_by(moving, machine, friction))
+            came_right += list((np.sign(came.mean.ravel()) == truth)[exists])
+            under_load = felt.slides.under_load(command, untouched.values, known, came)
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            force_n = rng.uniform(1.0, 5.0) * np.array([0.0, np.sin(angle), np.cos(angle)])
+            contact = LinkForce(1, np.array([0.02, 0.0, 0.0]), force_n)
+            slides = under_load.after(moving.go(command, [contact]).values).slides
+            truth = np.sign(carried_by(moving, machine, friction))
+            touched_right += list((np.sign(slides.mean.ravel()) == truth)[exists])
+    assert np.mean(came_right) > 0.95
+    assert np.mean(touched_right) > 0.8
+
+
+def test_the_machine_of_the_sim_rubs_if_its_file_says_so(tmp_path: Path) -> None:
+    """It comes to the same command from two sides with two readings."""
+    machine = machine_with_friction("finger", 0.1, tmp_path)
+    moving = MovingMachine(machine, joint_speed_rad_s=10.0, built_seed=3)
+    bent = np.full(len(machine.reference), 0.1)
+    readings = []
+    for start in (-bent, bent):
+        for command in (machine.reference + start, machine.reference):
+            moving.go_to(command)
+            for _ in range(12):
+                moving.advance(0.02)
+        readings.append(moving.reading(None))
+    assert moving.refusals == 0
+    assert np.abs(readings[1] - readings[0]).max() > 1.0
