@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.cable_routes import MOVED_STD
 from cablesense_contact.cable_slides import CableSlides, FrictionParameters
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
@@ -14,8 +15,6 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.uncertain_arm import arm_parameters, cable_friction
 
-_MOVED_STD = 5.0
-"""A cable has moved if its reading has changed by this many deviations of a reading."""
 _WRAP_RAD = 1.0
 """Angle that counts, at every guide, for when a cable slides back: that of the pulley."""
 
@@ -47,7 +46,7 @@ class ArmRoutes:
         self.compliance_m_n[:, 2:] += pieces_m_n[:, 1::2]
         self.pretension_n = mechanism.pretension_n
         self.wrap_rad = np.full((cables, count + 1), _WRAP_RAD)
-        self.moved_n = _MOVED_STD * math.sqrt(reading_variance_n2(arm.sensors))
+        self.moved_n = MOVED_STD * math.sqrt(reading_variance_n2(arm.sensors))
 
     def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:
         """See `CableRoutes`: spans count, as what lies before and in segments keeps its length."""

@@ -11,6 +11,9 @@ from typing import Protocol
 
 from cablesense_base import Array
 
+MOVED_STD = 5.0
+"""A cable has moved if its reading has changed by this many deviations of a reading."""
+
 
 class CableRoutes(Protocol):
     """The routes of M cables of a machine with n coordinates over G guides."""

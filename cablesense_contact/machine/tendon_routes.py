@@ -7,13 +7,12 @@ import math
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.cable_routes import MOVED_STD
 from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
 
-_MOVED_STD = 5.0
-"""A cable has moved if its reading has changed by this many deviations of a reading."""
 _LEAST_WRAP_RAD = 0.2
 """Angle that counts for when a tendon slides back where it goes straight in the reference pose: it
 bends in others."""
@@ -42,7 +41,7 @@ class TendonRoutes:
         wrap_rad = self._guides.at(machine.reference).wrap_rad
         self.wrap_rad = np.where(exists, np.maximum(wrap_rad, _LEAST_WRAP_RAD), 0.0)
         variance = channels.variance[is_tension]
-        self.moved_n = _MOVED_STD * math.sqrt(float(variance.max(initial=0.0)))
+        self.moved_n = MOVED_STD * math.sqrt(float(variance.max(initial=0.0)))
         self.are_followed = not machine.is_measured
 
     def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:

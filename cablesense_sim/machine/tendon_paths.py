@@ -23,10 +23,10 @@ _PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 _CYLINDER = int(mujoco.mjtWrap.mjWRAP_CYLINDER)
 _GEOMS = (_CYLINDER, int(mujoco.mjtWrap.mjWRAP_SPHERE))
 _FIXED = int(mujoco.mjtWrap.mjWRAP_JOINT)
-_OF_PULLEY = -2
-"""What MuJoCo has for the object where a pulley divides a tendon."""
 _NOTHING_M = 1e-12
 """Shorter pieces have no direction."""
+_NOTHING_RAD = 1e-9
+"""By less a tendon does not turn around a geom."""
 
 
 class PathsAtPose(NamedTuple):
@@ -211,7 +211,10 @@ class TendonPaths:
                 continue
             coming = come - behind[one.tendon, one.element - 1]
             arc = _arc_of(self._model, self._data, one, come, coming)
-            whole_rad = arc.angle_rad(come, leave) % (2.0 * np.pi)
+            whole_rad = arc.angle_rad(come, leave)
+            if abs(whole_rad) < _NOTHING_RAD:
+                continue
+            whole_rad %= 2.0 * np.pi
             turn = self._data.geom_xmat[one.geom].reshape(3, 3)
             until_rad = arc.angle_rad(come, arc.middle + turn @ mark)
             along_m = float((leave - come) @ arc.axis) if one.is_cylinder else 0.0
