@@ -66,6 +66,47 @@ touch:
 """
 
 
+KINDS = """
+<mujoco>
+  <worldbody>
+    <site name="start" pos="-0.1 0 0.02"/>
+    <site name="beside" pos="0 0 0.05"/>
+    <geom name="ball" type="sphere" size="0.02" contype="0"/>
+    <site name="return" pos="-0.1 0.02 0.03"/>
+    <body name="upper" pos="0.04 0 0">
+      <joint name="bend" axis="0 1 0"/>
+      <joint name="spread" axis="0 0 1"/>
+      <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.005" mass="0.1" contype="0"/>
+      <geom name="eye" type="cylinder" pos="0.05 0 0.02" zaxis="0 1 0" size="0.02 0.02"/>
+      <site name="in_eye" pos="0.05 0 0.012"/>
+      <site name="middle" pos="0.02 0.001 0.015"/>
+      <site name="end" pos="0.09 0.002 0.01"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="divided">
+      <site site="start"/><geom geom="ball" sidesite="beside"/><site site="middle"/>
+      <geom geom="eye" sidesite="in_eye"/><site site="end"/>
+      <pulley divisor="2"/>
+      <site site="return"/><site site="middle"/>
+    </spatial>
+    <fixed name="coupled"><joint joint="bend" coef="0.01"/></fixed>
+  </tendon>
+  <actuator>
+    <position name="first" tendon="divided" kp="1e5"/>
+    <position name="second" tendon="coupled" kp="1e5"/>
+  </actuator>
+</mujoco>
+"""
+"""A tendon around a ball, through an eye and over a block, and one that joints are coupled by."""
+
+KINDS_FILE = """
+sensors: {tension: {of: [divided, coupled], noise_std: 0.01}}
+cables: {pretension_n: 10, stiffness_n_m: 1.0e+5}
+touch: {links: [{link: upper, start_m: [0, 0, 0], end_m: [0.1, 0, 0], radius_m: 0.005}]}
+"""
+
+
 @pytest.fixture
 def hoist(tmp_path: Path) -> Machine:
     return written_machine(tmp_path, HOIST, HOIST_FILE)
@@ -90,6 +131,19 @@ def test_pieces_add_up_to_what_mujoco_has_of_the_tendon(name: str) -> None:
     assert_allclose(there.slope_m.sum(axis=1), balance.moment, atol=1e-12)
     assert_allclose(merged.length_m.sum(axis=1), balance.length_m, rtol=1e-9)
     assert_allclose(merged.slope_m.sum(axis=1), balance.moment, atol=1e-12)
+
+
+def test_pieces_add_up_on_tendons_of_every_kind(tmp_path: Path) -> None:
+    machine = written_machine(tmp_path, KINDS, KINDS_FILE)
+    paths = TendonPaths(machine)
+    statics = MachineStatics(machine)
+    for bend_rad in np.linspace(-0.6, 0.6, 13):
+        pose = np.array([bend_rad, 0.3 * bend_rad])
+        balance = statics.at(pose)
+        there = paths.at(pose)
+        assert_allclose(there.length_m.sum(axis=1), balance.length_m, rtol=1e-6, atol=1e-9)
+        assert_allclose(there.slope_m.sum(axis=1), balance.moment, atol=1e-9)
+        assert (there.bend_rad >= 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["finger", "seven_hinges"])
