@@ -56,8 +56,8 @@ class Trial:
 @pytest.mark.parametrize(
     ("name", "links", "share_right"),
     [
-        # a fingertip of 8 mm is a few deviations long
-        ("finger", (1, 2), 0.65),
+        # a fingertip of 8 mm is a few deviations long: of 60 two in three, but for 1 in 1000
+        ("finger", (1, 2), 0.47),
         ("seven_hinges", (4, 5, 6), 0.85),
         ("six_axis", (2, 3), 0.85),
     ],
@@ -85,12 +85,12 @@ def test_links_are_right_and_intervals_hold(
     along_m = before_m[link.astype(int)] + place_m
     right = seen.contact_evidence.argmax(axis=1) == link
     in_region = (seen.region_m[:, 0] <= along_m) & (along_m <= seen.region_m[:, 1])
-    low_n, high_n = seen.magnitude_ci95_n[right].T
-    in_force = (low_n <= lateral_n[right]) & (lateral_n[right] <= high_n)
+    low_n, high_n = seen.magnitude_ci95_n.T
+    in_force = (low_n <= lateral_n) & (lateral_n <= high_n)
     assert right.mean() > share_right
     # of 60 right with 95 % more than 52 hold, but for 1 in 1000
     assert in_region.mean() > 52.0 / 60.0
-    assert in_force.mean() > 0.86
+    assert in_force.mean() > 52.0 / 60.0
 
 
 def test_where_a_moment_alone_is_told_the_force_is_that_of_any_link() -> None:
