@@ -29,7 +29,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.machine.sensitivity import ParameterSources, Sensitivity
-from cablesense_contact.machine.tendon_friction import Carried, TendonFriction
+from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
@@ -52,6 +52,8 @@ _CROSS = np.zeros((9, 3))
 """(9, 3) of the matrices that take w to w x e, by e."""
 _CROSS[[1, 5, 6], [2, 0, 1]] = 1.0
 _CROSS[[2, 3, 7], [1, 2, 0]] = -1.0
+_SAME_BENDS = 2e-3
+"""A pose that is nearer, rad or m, bends tendons by the same angles."""
 _MOST_KEPT = 64
 """Commands and parameters for which what does not depend on the reading is kept."""
 
@@ -171,7 +173,12 @@ class Observer:
         moving = unrest + np.diag(self._friction_variance)
         if self.machine.is_measured:
             return self._of_pose(known, reading, command, covariance, moving)
-        return self._of_tensions(known, reading, covariance, moving, near)
+        seen = self._of_tensions(known, reading, covariance, moving, near)
+        if self._friction is None or np.abs(seen.pose - known.pose).max() < _SAME_BENDS:
+            return seen
+        # tendons bend, and rub, as they do in the pose that the reading shows
+        there = self._rubbing(command, mean, seen.pose)
+        return self._of_tensions(there, reading, covariance, moving, near)
 
     def command_of(self, pose: Array) -> Array:
         """(C,) the command that holds the machine, as modelled, near a pose (n,)."""
@@ -201,12 +208,7 @@ class Observer:
     def _known(self, command: Array, mean: Array) -> _Known:
         key = mean.tobytes() + command.tobytes()
         if key not in self._kept:
-            without = mean.copy()
-            without[self.parameters.carried_friction] = 0.0
-            known = self._without_friction(command, without)
-            if self._friction is not None:
-                carried = mean[self.parameters.carried_friction]
-                known = self._rubbing(known, self._friction.at(known.pose, carried))
+            known = self._rubbing(command, mean, None)
             _keep(self._kept, key, known)
         return self._kept[key]
 
@@ -240,19 +242,24 @@ class Observer:
         _keep(self._kept_without_friction, key, known)
         return known
 
-    def _rubbing(self, known: _Known, carried: Carried) -> _Known:
-        """What is known of the machine with friction, by what is known of it without."""
+    def _rubbing(self, command: Array, mean: Array, pose: Array | None) -> _Known:
+        """With friction as tendons bend at a pose (n,), by default that of the untouched machine."""
+        part = self.parameters.carried_friction
+        without = mean.copy()
+        without[part] = 0.0
+        known = self._without_friction(command, without)
+        if self._friction is None:
+            return known
+        carried = self._friction.at(known.pose if pose is None else pose, mean[part])
         built = known.built.rubbing(carried.beside_m, carried.stretch)
         sources = known.sources.rubbing(built, carried)
         rows = np.concatenate([sources.rows, known.rows[len(sources.rows) :]])
-        pose = known.pose
-        load_slope = known.load_slope
-        if not self.machine.is_measured:
-            pose, tensions_n = built.statics.rest(known.unstretched_m, (), pose)
-            load_slope = built.statics.load_slope(pose, tensions_n)
-        return known._replace(
-            built=built, pose=pose, load_slope=load_slope, sources=sources, rows=rows
-        )
+        rubbing = known._replace(built=built, sources=sources, rows=rows)
+        if self.machine.is_measured:
+            return rubbing
+        rest, tensions_n = built.statics.rest(known.unstretched_m, (), known.pose)
+        load_slope = built.statics.load_slope(rest, tensions_n)
+        return rubbing._replace(pose=rest, load_slope=load_slope)
 
     def _built_of(self, mean: Array) -> BuiltMachine:
         key = mean.tobytes()
