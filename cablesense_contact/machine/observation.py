@@ -243,7 +243,7 @@ class Observer:
         return known
 
     def _rubbing(self, command: Array, mean: Array, pose: Array | None) -> _Known:
-        """With friction as tendons bend at a pose (n,), by default that of the untouched machine."""
+        """With friction as tendons bend at a pose (n,), or at that of the untouched machine."""
         part = self.parameters.carried_friction
         without = mean.copy()
         without[part] = 0.0
