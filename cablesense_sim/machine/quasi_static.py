@@ -33,6 +33,10 @@ _REST = 1e-9
 _LONGEST = 0.02
 """Longest step, rad or m: ends of sticking are close to each other."""
 _MOST_STEPS = 200
+_AGAIN = 10
+"""Steps after which the derivative at constant tensions is taken anew."""
+_LEAST_STIFFNESS = 1e-4
+"""Against any motion, over that against the stiffest: where there is less, steps lead nowhere."""
 _CUT = 0.5
 _SMALLEST_SHARE = 1e-3
 _RESTS_ON_A_WAY = 8
@@ -159,9 +163,10 @@ class QuasiStaticMachine:
     def _rest(self, unstretched_m: Array, forces: Sequence[LinkForce]) -> _State:
         """The next rest, by Newton's steps, cut where they lead over ends of sticking."""
         here = self._state(self._pose, unstretched_m, forces)
-        constant = self._statics.load_slope(here.pose, here.tensions_n.mean(axis=1))
-        for _ in range(_MOST_STEPS):
-            step = -np.linalg.solve(constant + here.elastic_slope, here.residual)
+        for number in range(_MOST_STEPS):
+            if number % _AGAIN == 0:
+                constant = self._statics.load_slope(here.pose, here.tensions_n[:, 0])
+            step = np.linalg.solve(_stiffened(-constant - here.elastic_slope), here.residual)
             length = float(np.abs(step).max())
             if length < _REST:
                 return here
@@ -191,6 +196,13 @@ class QuasiStaticMachine:
         by_pose = pull.by_length_n_m @ slope_m
         elastic_slope = -np.einsum("ksi,ksj->ij", slope_m, by_pose)
         return _State(pose, lengths_m, limit, pull.tensions_n, residual, elastic_slope)
+
+
+def _stiffened(stiffness: Array) -> Array:
+    """(n, n) a stiffness, with as much added as makes it resist every motion."""
+    resisted = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))
+    least = _LEAST_STIFFNESS * resisted[-1]
+    return np.asarray(stiffness + max(least - resisted[0], 0.0) * np.eye(len(stiffness)))
 
 
 def _scaled(forces: Sequence[LinkForce], share: float) -> list[LinkForce]:

@@ -50,15 +50,12 @@ class _Geom(NamedTuple):
         tendon, element: places in the arrays.
         geom: its number.
         is_cylinder: or a sphere.
-        with_next: whether, where the tendon does not touch it, all of the way from the site before
-            to the site behind is the piece before it, else the one behind.
     """
 
     tendon: int
     element: int
     geom: int
     is_cylinder: bool
-    with_next: bool
 
 
 class TendonPaths:
@@ -88,17 +85,13 @@ class TendonPaths:
             self._take(row, path)
         body_of_motion = self._model.body_weldid[self._bodies]
         self.crosses = (body_of_motion[:, 1:] != body_of_motion[:, :-1]) & self.is_piece
-        self._geoms = [
-            one._replace(with_next=bool(self.crosses[one.tendon, one.element - 1]))
-            for one in self._geoms
-        ]
         self._marks = self._marks_at(machine.reference)
 
     def at(self, pose: Array) -> PathsAtPose:
         """The paths at a pose (n,)."""
         slope = self._pose(pose)
-        before, behind, bodies = self._points()
-        arcs_m, turns_rad = self._around(before, behind, self._marks)
+        before, behind = self._points()
+        arcs_m, turns_rad = self._around(before, behind)
         chord = before[:, 1:] - behind[:, :-1]
         straight_m = np.linalg.norm(chord, axis=-1) * self.is_piece
         has_direction = straight_m > _NOTHING_M
@@ -106,8 +99,8 @@ class TendonPaths:
         along *= has_direction[..., None]
 
         # direction · (J_end - J_start), with J of a point fixed to its body
-        at_start = self._swept(behind[:, :-1], bodies[:, :-1, 1], along)
-        at_end = self._swept(before[:, 1:], bodies[:, 1:, 0], along)
+        at_start = self._swept(behind[:, :-1], self._bodies[:, :-1], along)
+        at_end = self._swept(before[:, 1:], self._bodies[:, 1:], along)
         scale = 1.0 / self._divisor
         length_m = (straight_m + arcs_m) * scale
         by_pose = ((at_end - at_start) * scale[..., None]) @ slope
@@ -139,7 +132,7 @@ class TendonPaths:
                 self._bodies[row, place] = model.site_bodyid[number]
             elif kind in _GEOMS:
                 self._bodies[row, place] = model.geom_bodyid[number]
-                self._geoms.append(_Geom(row, place, number, kind == _CYLINDER, True))
+                self._geoms.append(_Geom(row, place, number, kind == _CYLINDER))
             elif kind == _PULLEY:
                 divisor = parameter
             if place + 1 < len(path):
@@ -156,21 +149,34 @@ class TendonPaths:
         mujoco.mj_tendon(self._model, data)
         return self._coordinates.slope(qpos)
 
-    def _points(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Points (K, E, 3) where tendons come to elements and leave them, and bodies (K, E, 2)."""
+    def _points(self) -> tuple[Array, Array]:
+        """Points (K, E, 3) where tendons come to elements, and where they leave them.
+
+        A geom that is not touched has the point of the straight way that is nearest to it, where
+        the tendon comes to touch it.
+        """
         before = self._data.site_xpos[self._sites]
         behind = before.copy()
-        bodies = np.stack([self._bodies, self._bodies], axis=-1)
         wrapped = self._wrapped()
         for one in self._geoms:
             here = (one.tendon, one.element)
             if here in wrapped:
                 before[here], behind[here] = wrapped[here]
                 continue
-            neighbour = one.element + 1 if one.with_next else one.element - 1
-            before[here] = behind[here] = self._data.site_xpos[self._sites[one.tendon, neighbour]]
-            bodies[here] = self._bodies[one.tendon, neighbour]
-        return before, behind, bodies
+            last = behind[one.tendon, one.element - 1]
+            following = before[one.tendon, one.element + 1]
+            before[here] = behind[here] = self._nearest(one, last, following)
+        return before, behind
+
+    def _nearest(self, one: _Geom, start: Array, end: Array) -> Array:
+        """The point between two others that is nearest to the middle, or the axis, of a geom."""
+        way = end - start
+        off = self._data.geom_xpos[one.geom] - start
+        if one.is_cylinder:
+            axis = self._data.geom_xmat[one.geom].reshape(3, 3)[:, 2]
+            way = way - (way @ axis) * axis
+        share = float(off @ way) / max(float(way @ way), _NOTHING_M**2)
+        return np.asarray(start + min(max(share, 0.0), 1.0) * (end - start))
 
     def _wrapped(self) -> dict[tuple[int, int], tuple[Array, Array]]:
         """Where tendons begin and end to touch geoms, by tendon and element."""
@@ -196,54 +202,49 @@ class TendonPaths:
                     touched[row, one.element] = points[place].copy(), points[place + 1].copy()
         return touched
 
-    def _around(self, before: Array, behind: Array, marks: Array) -> tuple[Array, Array]:
+    def _around(self, before: Array, behind: Array) -> tuple[Array, Array]:
         """Arcs (K, S) that pieces have on geoms next to them, and turns (K, S - 1) there.
 
-        A mark is where the arc before it ends, as a direction from the geom's middle in its frame.
+        The arc before a geom's mark is that of the piece before. Where a tendon does not touch a
+        geom, what one of its pieces has up to the mark the other has less.
         """
         arcs_m = np.zeros((before.shape[0], before.shape[1] - 1))
         turns_rad = np.zeros((before.shape[0], before.shape[1] - 2))
-        for one, mark in zip(self._geoms, marks, strict=True):
+        for one, mark in zip(self._geoms, self._marks, strict=True):
             here = (one.tendon, one.element)
             come = before[here]
             leave = behind[here]
-            if float(np.abs(leave - come).max()) < _NOTHING_M:
-                continue
             coming = come - behind[one.tendon, one.element - 1]
             arc = _arc_of(self._model, self._data, one, come, coming)
-            whole_rad = arc.angle_rad(come, leave)
-            if abs(whole_rad) < _NOTHING_RAD:
+            if arc is None:
                 continue
-            whole_rad %= 2.0 * np.pi
             turn = self._data.geom_xmat[one.geom].reshape(3, 3)
             until_rad = arc.angle_rad(come, arc.middle + turn @ mark)
+            whole_rad = arc.angle_rad(come, leave)
+            if abs(whole_rad) > _NOTHING_RAD:
+                whole_rad %= 2.0 * np.pi
+            around_m = arc.radius_m * whole_rad
             along_m = float((leave - come) @ arc.axis) if one.is_cylinder else 0.0
-            length_m = float(np.hypot(arc.radius_m * whole_rad, along_m))
-            share = until_rad / whole_rad
-            arcs_m[one.tendon, one.element - 1] += share * length_m
-            arcs_m[one.tendon, one.element] += (1.0 - share) * length_m
-            # a helix turns by its angle around the axis times the cosine of its slope
-            turns_rad[one.tendon, one.element - 1] = arc.radius_m * whole_rad**2 / length_m
+            length_m = float(np.hypot(around_m, along_m))
+            until_m = arc.radius_m * until_rad
+            if around_m > 0.0:
+                until_m *= length_m / around_m
+                # a helix turns by its angle around the axis times the cosine of its slope
+                turns_rad[one.tendon, one.element - 1] = around_m * whole_rad / length_m
+            arcs_m[one.tendon, one.element - 1] += until_m
+            arcs_m[one.tendon, one.element] += length_m - until_m
         return arcs_m, turns_rad
 
     def _marks_at(self, reference: Array) -> Array:
-        """(G, 3) half way along each arc in the reference pose, or where it is straight."""
+        """(G, 3) half way along each arc in the reference pose, in the frames of the geoms."""
         self._pose(reference)
-        before, behind, _ = self._points()
+        before, behind = self._points()
         marks = np.zeros((len(self._geoms), 3))
         for row, one in enumerate(self._geoms):
             here = (one.tendon, one.element)
             turn = self._data.geom_xmat[one.geom].reshape(3, 3)
-            middle = self._data.geom_xpos[one.geom]
-            last = behind[one.tendon, one.element - 1]
-            following = before[one.tendon, one.element + 1]
             halfway = 0.5 * (before[here] + behind[here])
-            if float(np.abs(behind[here] - before[here]).max()) < _NOTHING_M:
-                # the nearest point of the straight way
-                way = following - last
-                share = float((middle - last) @ way / (way @ way))
-                halfway = last + share * way
-            marks[row] = turn.T @ (halfway - middle)
+            marks[row] = turn.T @ (halfway - self._data.geom_xpos[one.geom])
         return marks
 
     def _swept(self, points: Array, bodies: NDArray[np.int64], along: Array) -> Array:
@@ -283,15 +284,21 @@ class _Arc(NamedTuple):
 
 def _arc_of(
     model: mujoco.MjModel, data: mujoco.MjData, one: _Geom, come: Array, coming: Array
-) -> _Arc:
-    """The arc of a tendon that comes to a geom at a point, with a direction, both (3,)."""
+) -> _Arc | None:
+    """The arc of a tendon that comes to a geom at a point, with a direction, both (3,).
+
+    None where it comes straight at the middle.
+    """
     middle = data.geom_xpos[one.geom].copy()
     about = np.cross(come - middle, coming)
+    length = float(np.linalg.norm(about))
+    if length < _NOTHING_M:
+        return None
     if one.is_cylinder:
         axis = data.geom_xmat[one.geom].reshape(3, 3)[:, 2]
         axis = axis * (1.0 if about @ axis > 0.0 else -1.0)
     else:
-        axis = about / np.linalg.norm(about)
+        axis = about / length
     return _Arc(middle, axis, float(model.geom_size[one.geom, 0]))
 
 
