@@ -1,12 +1,13 @@
 """What friction makes of a tendon's tension, from its actuator on, by what it carries at guides.
 
-At guide g, where a tendon turns by the angle w, the tensions have the ratio exp(ε w) towards its
-end (ε the carried friction). With ρ_p the tension of piece p over that at the actuator, with the
-pieces' moments J_p and their shares c_p of the compliance, a tension T at the actuator
+Where a tendon turns by the angle w at guide g, the tensions have the ratio exp(ε_g w) towards its
+end (ε the carried friction). With ρ_s the tension of straight piece s over that at the actuator,
+the pieces' moments J_s and their shares c_s of the compliance, a tension T at the actuator
 
-    pulls with T Σ_p ρ_p J_p,    stretches the tendon by T / k Σ_p c_p ρ_p,
+    pulls with T Σ_s ρ_s J_s,    stretches the tendon by T / k Σ_s c_s ρ_s,
 
-and the derivatives by what guide g carries are those sums over the pieces behind it, times w.
+and the derivatives by ε_g are those sums with each piece times w_gs, by which the tendon has
+turned at the guide before it: ρ_s = exp(Σ_g ε_g w_gs).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.machine.machine import Machine
-from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, GuidesAtPose, TendonGuides
+from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, TendonGuides
 
 
 class Carried(NamedTuple):
@@ -47,35 +48,32 @@ class TendonFriction:
     def __init__(self, machine: Machine) -> None:
         self.guides = TendonGuides(machine)
         self._tendons = len(machine.tendons.ids)
-        self.compliance_share = self.guides.length_share / (1.0 + RUN_COMPLIANCE)
-        self.compliance_share[:, 0] += RUN_COMPLIANCE / (1.0 + RUN_COMPLIANCE)
+        behind = 1.0 / (1.0 + RUN_COMPLIANCE)
+        self._run_share = 1.0 - behind
+        self._straight_share = behind * self.guides.straight_share
+        self.compliance_share = behind * self.guides.length_share
+        self.compliance_share[:, 0] += self._run_share
 
     def at(self, pose: Array, carried: Array) -> Carried:
         """At a pose (n,), with what is carried (G M,), M at each guide."""
-        there = self.guides.at(pose)
-        per_guide = carried.reshape(there.wrap_rad.T.shape).T
-        ratio = np.ones_like(there.length_m)
-        ratio[:, 1:] = np.exp(np.cumsum(per_guide * there.wrap_rad, axis=1))
+        there = self.guides.turns(pose)
+        guides = there.turned_rad.shape[-1]
+        per_guide = carried.reshape(guides, -1).T
+        ratio = np.exp(np.einsum("ksg,kg->ks", there.turned_rad, per_guide))
         pulls_m = ratio[..., None] * there.slope_m
-        stretched = ratio * self.compliance_share
-        even = stretched.sum(axis=1, keepdims=True)
-        by_carried = _behind(stretched[..., None], there)[..., 0] / even
+        stretched = ratio * self._straight_share
+        even = self._run_share + stretched.sum(axis=1)
+        by_carried = np.einsum("ks,ksg->gk", stretched, there.turned_rad) / even
 
         # those that are read come first
         read = len(ratio)
         beside_m = np.zeros((self._tendons, len(pose)))
         beside_m[:read] = pulls_m.sum(axis=1) - there.slope_m.sum(axis=1)
         stretch = np.ones(self._tendons)
-        stretch[:read] = even[:, 0]
+        stretch[:read] = even
         return Carried(
             beside_m=beside_m,
             stretch=stretch,
-            moment_by_carried_m=_behind(pulls_m, there).swapaxes(0, 1),
-            stretch_by_carried=by_carried.T,
+            moment_by_carried_m=np.einsum("ksn,ksg->gkn", pulls_m, there.turned_rad),
+            stretch_by_carried=by_carried,
         )
-
-
-def _behind(of_pieces: Array, there: GuidesAtPose) -> Array:
-    """(M, G, ...) sums over the pieces behind each guide, times the angle there."""
-    behind = of_pieces[:, :0:-1].cumsum(axis=1)[:, ::-1]
-    return np.asarray(there.wrap_rad[..., None] * behind)

@@ -36,12 +36,25 @@ class GuidesAtPose(NamedTuple):
     wrap_rad: Array
 
 
+class TurnsAtPose(NamedTuple):
+    """M tendons of up to S straight pieces over G guides at a pose.
+
+    Attributes:
+        slope_m: (M, S, n) ∂length/∂r of the straight pieces.
+        turned_rad: (M, S, G) by which a tendon has turned at each guide before a straight piece.
+    """
+
+    slope_m: Array
+    turned_rad: Array
+
+
 class TendonGuides:
     """The guides of the M tendons of a machine that are read, in the order of their sensors.
 
     Attributes:
         exists: (G, M) whether a tendon can bend at a guide.
-        length_share: (M, G + 1) of the pieces in the length in the reference pose.
+        straight_share: (M, S) of the straight pieces in the length in the reference pose, and
+        length_share: (M, G + 1) of the pieces that `at` has.
     """
 
     def __init__(self, machine: Machine, model: mujoco.MjModel | None = None) -> None:
@@ -55,10 +68,15 @@ class TendonGuides:
         guides = int(spans.max(initial=0))
         self._piece_of = _one_hot(spans_passed, guides + 1) * is_piece[..., None]
         is_node = is_piece[:, 1:] & is_piece[:, :-1] & (spans_passed[:, :-1] < spans)
+        # what lies behind the last span stretches only: it slides as the last guide does
+        last = np.minimum(spans_passed[:, :-1], np.maximum(spans - 1, 0))
+        is_bend = is_piece[:, 1:] & is_piece[:, :-1]
+        self._slides_with = _one_hot(last, guides) * is_bend[..., None]
         self._guide_of = _one_hot(spans_passed[:, :-1], guides) * is_node[..., None]
         self.exists: NDArray[np.bool_] = self._guide_of.any(axis=1).T
-        length_m = self.at(machine.reference).length_m
-        self.length_share = length_m / length_m.sum(axis=1, keepdims=True)
+        length_m = self._paths.at(machine.reference).length_m[self._read]
+        self.straight_share = length_m / length_m.sum(axis=1, keepdims=True)
+        self.length_share = np.einsum("ks,ksp->kp", self.straight_share, self._piece_of)
 
     def at(self, pose: Array) -> GuidesAtPose:
         """The guides at a pose (n,)."""
@@ -68,6 +86,14 @@ class TendonGuides:
             slope_m=np.einsum("ksn,ksp->kpn", paths.slope_m[self._read], self._piece_of),
             wrap_rad=np.einsum("ks,ksg->kg", paths.bend_rad[self._read], self._guide_of),
         )
+
+    def turns(self, pose: Array) -> TurnsAtPose:
+        """How tendons have turned up to each of their straight pieces, at a pose (n,)."""
+        paths = self._paths.at(pose)
+        by_guide = paths.bend_rad[self._read][..., None] * self._slides_with
+        turned_rad = np.zeros((*self.straight_share.shape, by_guide.shape[-1]))
+        turned_rad[:, 1:] = by_guide.cumsum(axis=1)
+        return TurnsAtPose(paths.slope_m[self._read], turned_rad)
 
 
 def _one_hot(numbers: NDArray[np.int64], count: int) -> Array:
