@@ -10,7 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cablesense_base import Array
+from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.machine.felt_model import FeltModel
+from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
 from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_contact.slides import Belief
@@ -23,6 +25,7 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
 from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, TendonGuides
 from cablesense_sim.machine.tendon_paths import TendonPaths
+from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import (
     bent_command,
     example_machine,
@@ -338,3 +341,31 @@ def test_the_machine_of_the_sim_rubs_if_its_file_says_so(tmp_path: Path) -> None
         readings.append(moving.reading(None))
     assert moving.refusals == 0
     assert np.abs(readings[1] - readings[0]).max() > 1.0
+
+
+@pytest.mark.slow
+def test_unloaded_poses_tell_the_coefficient(tmp_path: Path) -> None:
+    """Of a machine that is built within tolerances, and whose way is known."""
+    coefficient = 0.07
+    machine = machine_with_friction("finger", 0.1, tmp_path)
+    felt = FeltModel(machine)
+    calibrator = Calibrator(felt, MachineLaw(machine, TorchStater(machine)))
+    parameters = felt.parameters
+    rng = np.random.default_rng(0)
+    theta = parameters.prior_std * rng.standard_normal(len(parameters))
+    built = SimulatedMachine(machine, parameters, theta)
+    moving = QuasiStaticMachine(built, machine.reference, coefficient)
+    unloaded = []
+    before = machine.reference
+    for _ in range(8):
+        command = machine.reference + np.deg2rad(rng.uniform(-15.0, 15.0, len(before)))
+        values = moving.go(command).values
+        reading = machine.channels.read(np.tile(values, (50, 1)), rng).mean(axis=0)
+        unloaded.append(Unloaded(reading, command, 50, 0, before))
+        before = command
+    calibration = calibrator.from_poses(unloaded)
+    number = parameters.slices["friction"].start
+    std = calibration.std[number]
+    assert calibration.as_described
+    assert std < 0.1 * parameters.prior_std[number]
+    assert abs(calibration.mean[number] - coefficient) < 4.0 * std
