@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 
 import harness
 import numpy as np
-from machines import MACHINES, TARE_READINGS, Bench, Contact, within
+from machines import FOLDER, MACHINES, TARE_READINGS, Bench, Contact, within
 from rich.progress import track
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, Unloaded
 from cablesense_contact.judgement import ContactState
 from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.machine import open_machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 
 COMMANDS = 4
@@ -168,7 +169,7 @@ def case_of(bench: Bench, built: SimulatedMachine, rng: np.random.Generator) -> 
 
 def figures_of(name: str, built_count: int, poses: int, seed: int) -> dict[str, Any]:
     """Of machines within tolerances, by both ways to know them."""
-    bench = Bench(name)
+    bench = Bench(open_machine(FOLDER / f"{name}.yaml"))
     rng = np.random.default_rng([seed, MACHINES.index(name)])
     at_reference = bench.holding.command_of(bench.machine.reference)
     tared = Tally()
