@@ -18,7 +18,8 @@ from cablesense_sim.loads import LoadError
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
-from cablesense_sim.machine.simulated import SimulatedMachine
+from cablesense_sim.machine.quasi_static import QuasiStaticMachine
+from cablesense_sim.machine.simulated import AtRest, SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 
 _RATE_HZ = 100.0
@@ -57,6 +58,10 @@ class MachineSimulation:
         start = self._felt.first_command
         self._motion = JointMotion.at_rest(start, settings.joint_speed_rad_s)
         self._rest = self._simulated.untouched(start)
+        self._rubbing: QuasiStaticMachine | None = None
+        coefficient = abs(float(theta[parameters.slices["friction"]][0]))
+        if coefficient > 0.0 and not machine.is_measured:
+            self._rubbing = QuasiStaticMachine(self._simulated, start, coefficient)
         self._now_s = now_s
 
     @property
@@ -143,9 +148,16 @@ class MachineSimulation:
             for load in self.loads
         ]
         try:
-            self._rest = self._simulated.under(self._motion.angle_rad, forces, self._rest.pose)
+            self._rest = self._at_rest(forces)
         except MachineError:
             self.refusals += 1
+
+    def _at_rest(self, forces: Sequence[LinkForce]) -> AtRest:
+        """Tendons of a built machine rub if its file states friction."""
+        command = self._motion.angle_rad
+        if self._rubbing is not None:
+            return self._rubbing.under(command, forces)
+        return self._simulated.under(command, forces, self._rest.pose)
 
     def reading(self, rng: np.random.Generator | None) -> Array:
         """(M,) what the sensors read; without noise and step without `rng`."""

@@ -16,7 +16,8 @@ from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
 from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_contact.slides import Belief
-from cablesense_online.moving_machine import MovingMachine
+from cablesense_online.machine_simulation import MachineSimulation
+from cablesense_online.simulation import SimulationSettings
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -330,14 +331,19 @@ def test_followed_slides_are_those_of_the_machine_that_rubs(tmp_path: Path) -> N
 def test_the_machine_of_the_sim_rubs_if_its_file_says_so(tmp_path: Path) -> None:
     """It comes to the same command from two sides with two readings."""
     machine = machine_with_friction("finger", 0.1, tmp_path)
-    moving = MovingMachine(machine, joint_speed_rad_s=10.0, built_seed=3)
+    settings = SimulationSettings(
+        rate_hz=0.0, joint_speed_rad_s=10.0, load_timeout_s=0.0, built_seed=3
+    )
+    moving = MachineSimulation(machine, settings, now_s=0.0)
+    now_s = 0.0
     bent = np.full(len(machine.reference), 0.1)
     readings = []
     for start in (-bent, bent):
         for command in (machine.reference + start, machine.reference):
             moving.go_to(command)
             for _ in range(12):
-                moving.advance(0.02)
+                now_s += 0.02
+                moving.advance_to(now_s)
         readings.append(moving.reading(None))
     assert moving.refusals == 0
     assert np.abs(readings[1] - readings[0]).max() > 1.0
