@@ -47,6 +47,14 @@ def test_files_for_hosts_follow_their_schemas(schema, files):
     assert done.returncode == 0, done.stdout
 
 
+def test_every_page_is_in_the_navigation():
+    configuration = (CHECKOUT / "mkdocs.yml").read_text(encoding="utf-8")
+    navigation = configuration[configuration.index("\nnav:") :]
+    named = set(re.findall(r"(?m)(\S+\.md)$", navigation))
+    docs = CHECKOUT / "docs"
+    assert {str(page.relative_to(docs)) for page in docs.rglob("*.md")} <= named
+
+
 def test_the_workflow_runs_the_commands_of_the_readme():
     workflow = yaml.safe_load((CHECKOUT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
     (job,) = workflow["jobs"].values()
