@@ -20,6 +20,7 @@ from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
 from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
+from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.recorded_contacts import (
     ArmLaw,
     RecordedErrors,
@@ -112,6 +113,7 @@ def adapt(
     *,
     force: bool = False,
     announce: Callable[[float], None] = lambda _: None,
+    kept: KeptSimulations | None = None,
 ) -> Adaptation:
     """Diagnose a recording, and judge the estimator in use and that of the amended arm.
 
@@ -123,7 +125,15 @@ def adapt(
     """
     unseen = withheld_trials(recording, arm)
     diagnosis = diagnose(
-        recording, arm, progress, workers, on_finding, unseen, force=force, announce=announce
+        recording,
+        arm,
+        progress,
+        workers,
+        on_finding,
+        unseen,
+        force=force,
+        announce=announce,
+        kept=kept,
     )
     progress("judging the estimators", 1.0)
     adapted = adapt_to(diagnosis, recording, unseen, first or TorchLaw(arm))

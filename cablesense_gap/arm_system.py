@@ -17,6 +17,7 @@ from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_r
 from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
+from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.residuals import decompose, regimes
@@ -258,6 +259,7 @@ def diagnose(
     *,
     force: bool = False,
     announce: Callable[[float], None] = lambda _: None,
+    kept: KeptSimulations | None = None,
 ) -> Diagnosis:
     """Find what makes the recorded arm differ from the nominal one.
 
@@ -275,6 +277,7 @@ def diagnose(
         reference: of the same arm when it was healthy; the verdict says what changed since.
         force: whether to continue if channels look exchanged; the findings then say so.
         announce: receives the seconds that the search will take, before it begins.
+        kept: files from which a diagnosis goes on that was interrupted.
 
     Raises:
         RecordingError: the recording or the reference cannot be used, or channels look exchanged.
@@ -308,7 +311,7 @@ def diagnose(
     system, findings = _checked_system(arm, recording, unseen, force=force)
     for finding in findings:
         on_finding(finding.text)
-    outcome = diagnose_system(system, progress, workers, began_s, healthy, announce)
+    outcome = diagnose_system(system, progress, workers, began_s, healthy, announce, kept)
     amended = amended_arm(arm, outcome.values, outcome.tolerances)
     return Diagnosis(
         recording=system.recording,

@@ -38,6 +38,7 @@ from cablesense_gap.explained import (
     significant_values,
     trades,
 )
+from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.partial_answer import PartialAnswer, named_that_removes, partial_answer
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
@@ -120,20 +121,23 @@ def diagnose_system(
     began_s: float | None = None,
     reference: Reference | None = None,
     announce: Callable[[float], None] = lambda _: None,
+    kept: KeptSimulations | None = None,
 ) -> Outcome:
     """Find what makes the recorded machine differ from the nominal one.
 
     `progress` receives the present step and the share that is done, in the stages of
     `diagnosis.duration`; `announce` receives the seconds that it will take, before the search;
     `began_s` is when the diagnosis started, by `time.monotonic`. With a `reference`, whose known
-    values the system has, it is what changed since then.
+    values the system has, it is what changed since then. What is simulated is `kept` in files if
+    given, and taken from there if it is there already.
     """
     began_s = time.monotonic() if began_s is None else began_s
     progress("preparing", 0.0)
     prepares_s = time.monotonic()
-    problem = problem_of(system)
+    problem = problem_of(system, kept)
     prepared_s = time.monotonic() - prepares_s
-    announce(expected_s(problem, prepared_s, workers))
+    if kept is None or not kept.count:  # what is kept takes no time
+        announce(expected_s(problem, prepared_s, workers))
     calibration = bundled_calibration()
     nothing = np.zeros_like(problem.readings)
     usual = Expected(nothing, nothing + 1.0, problem.floor)

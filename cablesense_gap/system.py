@@ -15,6 +15,7 @@ from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.nuisance import with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
 from cablesense_gap.explained import estimates
+from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
 from cablesense_gap.verdict import ChannelGap, FittedNumber, FrictionForm, Gap, Where
 
@@ -196,11 +197,17 @@ class System(ABC):
         return {}
 
 
-def problem_of(system: System) -> Problem:
-    """The recording as the search works on it."""
+def problem_of(system: System, kept: KeptSimulations | None = None) -> Problem:
+    """The recording as the search works on it; what is simulated is `kept` in files if given."""
+    simulator: Simulator = system if kept is None else kept.simulator(system)
     problem = with_fitted_nuisance(
-        prepare(system, system.readings, system.trial, system.fold, system.counted)
+        prepare(simulator, system.readings, system.trial, system.fold, system.counted)
     )
     problem = replace(problem, past=system.past(), far_off=system.far_off)
     subsample = system.subsample()
-    return problem if subsample is None else subsampled(problem, *subsample)
+    if subsample is None:
+        return problem
+    of_some_rows, rows = subsample
+    if kept is not None:
+        of_some_rows = kept.simulator(of_some_rows)
+    return subsampled(problem, of_some_rows, rows)

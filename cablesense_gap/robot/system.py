@@ -16,6 +16,7 @@ from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.earlier import judged
+from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts, friction_forms, loads
@@ -453,6 +454,7 @@ def diagnose(
     force: bool = False,
     reference: RobotRecording | None = None,
     announce: Callable[[float], None] = lambda _: None,
+    kept: KeptSimulations | None = None,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its nominal model.
 
@@ -463,6 +465,7 @@ def diagnose(
     With `force` it continues if columns look exchanged, reversed, wrapped or in another unit; the
     findings then say so.
     A `reference` is of the same robot when it was healthy; the verdict says what changed since.
+    From the files `kept` a diagnosis goes on that was interrupted.
 
     Raises:
         RecordingError: the recording or the reference cannot be compared, or columns look
@@ -487,7 +490,7 @@ def diagnose(
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
         system = system.with_listed(healthy.known)
-    diagnosis = diagnose_system(system, progress, workers, began_s, healthy, announce)
+    diagnosis = diagnose_system(system, progress, workers, began_s, healthy, announce, kept)
     known = {} if healthy is None else healthy.known
     return RobotDiagnosis(
         system=system,

@@ -16,6 +16,7 @@ from rich.console import Console
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
+from cablesense_ros.cli.interrupted import resumable
 from cablesense_ros.cli.options import (
     ColumnsOption,
     EffortOption,
@@ -137,7 +138,12 @@ def diagnose(
         read = partial(
             read_recording, robot=robot, topics=topic or (), efforts=effort or (), force=force
         )
-        with diagnosis_progress(console) as progress:
+        inputs = [path for path in (recording, robot.path, reference) if path]
+        settings = [bandwidth, forward, zeroed, positions, topic, effort, sorted(beside.items())]
+        with (
+            resumable(out, inputs, settings, console) as kept,
+            diagnosis_progress(console) as progress,
+        ):
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
             of_reference = () if healthy is None else healthy.notes
@@ -157,6 +163,7 @@ def diagnose(
                 force=force,
                 reference=healthy,
                 announce=progress.announce,
+                kept=kept,
             )
         given = Given(str(recording), str(model), str(out), external=positions == "external")
         write_robot_diagnosis(out, diagnosis, given)
@@ -209,7 +216,11 @@ def _diagnosed_arm(
     read = partial(read_recording, arm=nominal, topics=topics, columns=meant)
     recorded = read(recording)
     healthy = None if reference is None else read(reference)
-    with diagnosis_progress(console) as progress:
+    inputs = [path for path in (recording, arm_file, reference, columns) if path]
+    with (
+        resumable(out, inputs, ["diagnose", topics], console) as kept,
+        diagnosis_progress(console) as progress,
+    ):
         diagnosis = make(
             recorded,
             nominal,
@@ -219,6 +230,7 @@ def _diagnosed_arm(
             reference=healthy,
             force=force,
             announce=progress.announce,
+            kept=kept,
         )
     given = Given(str(recording), arm, str(out))
     write_diagnosis(out, diagnosis, given=given)
@@ -398,7 +410,11 @@ def adapt(
     console = Console(stderr=json_output)
     adapted_model = out / ADAPTED_MODEL
     calibration = out / CALIBRATION
-    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as progress:
+    with (
+        resumable(out, (recording, arm_file), ["adapt", topic], console) as kept,
+        tempfile.TemporaryDirectory() as folder,
+        diagnosis_progress(console) as progress,
+    ):
         adaptation = make(
             recorded,
             nominal,
@@ -408,6 +424,7 @@ def adapt(
             progress.warn,
             force=force,
             announce=progress.announce,
+            kept=kept,
         )
         exported = Path(folder) / ADAPTED_MODEL
         adaptation, refused = _exported(adaptation, exported, shlex.join(words))

@@ -1,0 +1,175 @@
+"""A small data set with answers, so that other methods can be compared with the diagnosis.
+
+    python benchmarks/data_set.py --out FOLDER [--count 8] [--seed 6120] [--workers 2]
+    python benchmarks/data_set.py --out FOLDER --baseline [--write]
+
+The first command makes recordings, answers and the card; the second diagnoses the recordings that
+are there, scores the verdicts, and keeps the scores, which the card then states. Recordings with
+friction have no baseline unless `--groups` names them: each takes minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+import blind_sets
+import harness
+import numpy as np
+
+from cablesense_base import CableSenseError
+from cablesense_base.files import output_folder, write_atomically
+from cablesense_base.installation import package_version
+from cablesense_gap.amended_arm import write_arm
+from cablesense_gap.arm_system import diagnose
+from cablesense_gap.scoring import read_answers, score
+from cablesense_gap.verdict import Verdict, read_verdict, write_verdict
+from cablesense_plants.arm.blind_cases import draw_kinds, record_cases
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.built import Workmanship
+from cablesense_recording.checks import read_recording
+from cablesense_sim.arm import find_arm, load_arm, open_arm
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+ARM: Final = "cdsm_lab"
+FRICTION: Final = ("cable_creep", "capstan_friction", "joint_friction")
+"""What the group `friction` hides, one each; the others hide none of it."""
+MEASURED: Final = ("nominal", "built")
+"""Groups with a baseline."""
+ARM_FILE: Final = "arm.yaml"
+RESULT: Final = "data_set.json"
+_CARD = Path(__file__).with_name("data_set_card.md")
+_DRAWN = 6
+"""Times as many kinds are drawn as are needed, since those with friction are left out."""
+
+
+def main() -> None:
+    """Makes the data set, or diagnoses it."""
+    parser = harness.parser(__doc__, f"results/{RESULT}")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the data set")
+    parser.add_argument("--count", type=int, default=8, help="recordings of each group")
+    parser.add_argument("--seed", type=int, default=6120, help="of the plant")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--baseline", action="store_true", help="diagnose and score what is there")
+    parser.add_argument("--groups", default=",".join(MEASURED), help="to diagnose, by commas")
+    options = parser.parse_args()
+    if options.baseline:
+        groups = options.groups.split(",")
+        scores = {group: baseline(options.out, group, options.workers) for group in groups}
+        harness.publish(RESULT, {"arm": ARM, "groups": scores}, options)
+    else:
+        make(options)
+        print(f"{options.out / 'README.md'} says what it is")
+
+
+def make(options: argparse.Namespace) -> None:
+    """Write recordings, answers, arm files and the card into a new folder.
+
+    Raises:
+        OutputError: a data set is there already.
+    """
+    out: Path = options.out
+    output_folder(out, ("README.md", "*/case_*.csv", "answers/*.csv"))
+    counts = {}
+    for group, kinds in kinds_of(options.count, options.seed).items():
+        workmanship = Workmanship() if group == "built" else None
+        answers_file = out / "answers" / f"{group}.csv"
+        nominal = read_nominal(find_arm(ARM))
+        seed = options.seed + len(counts)
+        made = record_cases(
+            out / group,
+            answers_file,
+            nominal,
+            len(kinds),
+            seed,
+            kinds,
+            options.workers,
+            workmanship=workmanship,
+        )
+        counts[group] = sum(1 for _ in made)
+        known = open_arm(ARM) if group == "built" else blind_sets.narrow_arm(ARM)
+        write_arm(out / group / ARM_FILE, known, "The nominal arm, with its maker's tolerances.")
+    write_atomically(out / "README.md", card(counts, options.seed, _results()), CableSenseError)
+
+
+def kinds_of(count: int, seed: int) -> dict[str, list[str]]:
+    """What the recordings of each group hide: `none`, `unknown`, or effects joined by `+`."""
+    kinds: dict[str, list[str]] = {}
+    for number, group in enumerate(MEASURED):
+        drawn = draw_kinds(np.random.default_rng([seed, number]), _DRAWN * count)
+        quick = [kind for kind in drawn if not set(kind.split("+")) & set(FRICTION)]
+        kinds[group] = quick[:count]
+    return {**kinds, "friction": list(FRICTION)}
+
+
+def baseline(folder: Path, group: str, workers: int) -> dict[str, Any]:
+    """The scores of the diagnosis on a group, and each of its cases.
+
+    Verdicts are kept in `verdicts/` of the data set; those that are there are not made again.
+    """
+    verdicts_folder = folder / "verdicts" / group
+    verdicts_folder.mkdir(parents=True, exist_ok=True)
+    answers = read_answers(folder / "answers" / f"{group}.csv")
+    paths = [folder / group / f"{answer.recording}.csv" for answer in answers]
+    judged = blind_sets.in_pool(partial(_verdict, verdicts_folder), paths, workers)
+    verdicts = {path.stem: verdict for path, verdict in zip(paths, judged, strict=True)}
+    cases = [blind_sets.case(answer, verdicts[answer.recording], None) for answer in answers]
+    return {**asdict(score(verdicts, answers)), "each_case": cases}
+
+
+def _verdict(verdicts_folder: Path, path: Path) -> Verdict:
+    kept = verdicts_folder / f"{path.stem}.json"
+    if not kept.exists():
+        arm = load_arm(path.with_name(ARM_FILE))
+        write_verdict(kept, diagnose(read_recording(path, arm), arm).verdict)
+    return read_verdict(kept)
+
+
+def card(counts: Mapping[str, int], seed: int, results: Mapping[str, Any]) -> str:
+    """The text of the card, with the baseline that was measured last."""
+    groups = results.get("groups", {})
+    missing = [name for name in counts if name not in groups]
+    return Template(_CARD.read_text(encoding="utf-8")).substitute(
+        counts,
+        count=counts["nominal"],
+        seed=seed,
+        version=package_version(),
+        command=results.get("command", "python benchmarks/data_set.py --baseline"),
+        baseline="\n".join(_rows(groups)),
+        not_measured=f"No baseline was measured for {', '.join(missing)}." if missing else "",
+    )
+
+
+def _rows(groups: Mapping[str, Any]) -> list[str]:
+    """Rows of the table of scores, a column for each group with a baseline."""
+    named = {
+        "effects right": "exact",
+        "places right, where the effect is": "where",
+        "false alarms": "false_alarms",
+        "unlisted causes called unknown": "unknown_recall",
+    }
+    measured = [groups[name] for name in MEASURED if name in groups]
+    rows = []
+    for label, key in named.items():
+        cells = [f"{one[key]['hits']} of {one[key]['count']}" for one in measured]
+        rows.append(f"| {' | '.join([label, *cells])} |")
+    removed = [f"{one['median_removed_fraction']:.0%}" for one in measured]
+    return [*rows, f"| {' | '.join(['gap removed, median of those right', *removed])} |"]
+
+
+def _results() -> dict[str, Any]:
+    path = harness.RESULTS / RESULT
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return content
+
+
+if __name__ == "__main__":
+    main()
