@@ -31,9 +31,11 @@ from cablesense_gap.amended_arm import write_arm
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, read_verdict, write_verdict
-from cablesense_plants.arm.blind_cases import draw_kinds, record_cases
+from cablesense_plants.arm.blind_cases import record_cases
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
+from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.cases import NONE, UNKNOWN, different, in_turn
 from cablesense_recording.checks import read_recording
 from cablesense_sim.arm import find_arm, load_arm, open_arm
 
@@ -47,8 +49,6 @@ MEASURED: Final = ("nominal", "built")
 ARM_FILE: Final = "arm.yaml"
 RESULT: Final = "data_set.json"
 _CARD = Path(__file__).with_name("data_set_card.md")
-_DRAWN = 6
-"""Times as many kinds are drawn as are needed, since those with friction are left out."""
 
 
 def main() -> None:
@@ -64,7 +64,8 @@ def main() -> None:
     if options.baseline:
         groups = options.groups.split(",")
         scores = {group: baseline(options.out, group, options.workers) for group in groups}
-        harness.publish(RESULT, {"arm": ARM, "groups": scores}, options)
+        made = {"arm": ARM, "seed": options.seed, "count": options.count}
+        harness.publish(RESULT, {**made, "groups": scores}, options)
     else:
         make(options)
         print(f"{options.out / 'README.md'} says what it is")
@@ -97,16 +98,25 @@ def make(options: argparse.Namespace) -> None:
         counts[group] = sum(1 for _ in made)
         known = open_arm(ARM) if group == "built" else blind_sets.narrow_arm(ARM)
         write_arm(out / group / ARM_FILE, known, "The nominal arm, with its maker's tolerances.")
-    write_atomically(out / "README.md", card(counts, options.seed, _results()), CableSenseError)
+    write_atomically(out / "README.md", card(counts, options.seed, results()), CableSenseError)
 
 
 def kinds_of(count: int, seed: int) -> dict[str, list[str]]:
-    """What the recordings of each group hide: `none`, `unknown`, or effects joined by `+`."""
-    kinds: dict[str, list[str]] = {}
+    """What the recordings of each group hide.
+
+    A quarter hides nothing, a quarter something that no verdict has a name for, an eighth two
+    effects, the rest one; no effect comes twice before all have come once.
+    """
+    kinds = {}
     for number, group in enumerate(MEASURED):
-        drawn = draw_kinds(np.random.default_rng([seed, number]), _DRAWN * count)
-        quick = [kind for kind in drawn if not set(kind.split("+")) & set(FRICTION)]
-        kinds[group] = quick[:count]
+        rng = np.random.default_rng([seed, number])
+        effects = in_turn(rng, [name for name in LISTED if name not in FRICTION])
+        quarter = count // 4
+        pairs = count // 8
+        drawn = [NONE] * quarter + [UNKNOWN] * quarter
+        drawn += ["+".join(sorted(different(effects, 2))) for _ in range(pairs)]
+        drawn += [next(effects) for _ in range(count - len(drawn))]
+        kinds[group] = [drawn[i] for i in rng.permutation(count)]
     return {**kinds, "friction": list(FRICTION)}
 
 
@@ -133,39 +143,43 @@ def _verdict(verdicts_folder: Path, path: Path) -> Verdict:
     return read_verdict(kept)
 
 
-def card(counts: Mapping[str, int], seed: int, results: Mapping[str, Any]) -> str:
-    """The text of the card, with the baseline that was measured last."""
-    groups = results.get("groups", {})
+def card(counts: Mapping[str, int], seed: int, scores: Mapping[str, Any]) -> str:
+    """The text of the card, with the baseline if it was measured on this very set."""
+    is_of_this = (scores.get("seed"), scores.get("count")) == (seed, counts["nominal"])
+    groups = scores["groups"] if is_of_this else {}
     missing = [name for name in counts if name not in groups]
     return Template(_CARD.read_text(encoding="utf-8")).substitute(
         counts,
         count=counts["nominal"],
         seed=seed,
         version=package_version(),
-        command=results.get("command", "python benchmarks/data_set.py --baseline"),
+        command=scores["command"] if is_of_this else "python benchmarks/data_set.py --baseline",
         baseline="\n".join(_rows(groups)),
         not_measured=f"No baseline was measured for {', '.join(missing)}." if missing else "",
     )
 
 
 def _rows(groups: Mapping[str, Any]) -> list[str]:
-    """Rows of the table of scores, a column for each group with a baseline."""
+    """Rows of the table of scores, a column for each group; none without a baseline."""
+    if not set(MEASURED) <= set(groups):
+        return []
     named = {
         "effects right": "exact",
         "places right, where the effect is": "where",
         "false alarms": "false_alarms",
         "unlisted causes called unknown": "unknown_recall",
     }
-    measured = [groups[name] for name in MEASURED if name in groups]
+    measured = [groups[name] for name in MEASURED]
     rows = []
     for label, key in named.items():
         cells = [f"{one[key]['hits']} of {one[key]['count']}" for one in measured]
         rows.append(f"| {' | '.join([label, *cells])} |")
-    removed = [f"{one['median_removed_fraction']:.0%}" for one in measured]
+    removed = [f"{one['median_removed_fraction'] or 0.0:.0%}" for one in measured]
     return [*rows, f"| {' | '.join(['gap removed, median of those right', *removed])} |"]
 
 
-def _results() -> dict[str, Any]:
+def results() -> dict[str, Any]:
+    """The committed scores; empty where there are none."""
     path = harness.RESULTS / RESULT
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return content

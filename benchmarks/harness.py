@@ -11,15 +11,17 @@ import json
 import os
 import platform
 import re
+import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +57,7 @@ def origin(*libraries: str) -> dict[str, Any]:
     command = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     command = re.sub(r" --folder \S+", "", command)
     return {
-        "command": "python " + re.sub(r"(--data|--recordings) \S+", r"\1 DIR", command),
+        "command": "python " + re.sub(r"(--data|--recordings|--out) \S+", r"\1 DIR", command),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
@@ -120,21 +122,41 @@ def rss_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def run_watched(command: Sequence[str]) -> tuple[float, float]:
-    """Run a command; gives its wall seconds, and the peak memory of all of its processes, MB.
+class Watched(NamedTuple):
+    """What a command took, with all of its processes.
 
-    Pages that processes share count in each.
+    Attributes:
+        seconds: of the clock.
+        cpu_s: of processors, in user mode: hardly more on a busy machine.
+        peak_mb: of memory; pages that processes share count in each.
+        printed: on standard output.
     """
+
+    seconds: float
+    cpu_s: float
+    peak_mb: float
+    printed: str
+
+
+def run_watched(command: Sequence[str]) -> Watched:
+    """Run a command, and watch it."""
     began = time.monotonic()
+    cpu_before_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     peak_mb = 0.0
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as output,
+        subprocess.Popen(command, stdout=output) as running,
+    ):
         while running.poll() is None:
             sizes_mb = [rss_mb(pid) for pid in _tree(running.pid)]
             peak_mb = max(peak_mb, float(np.nansum(sizes_mb)))
             time.sleep(0.1)
+        output.seek(0)
+        printed = output.read()
     if running.returncode:
         raise SystemExit(f"{command[0]} ended with {running.returncode}")
-    return time.monotonic() - began, peak_mb
+    cpu_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - cpu_before_s
+    return Watched(time.monotonic() - began, cpu_s, peak_mb, printed)
 
 
 def _tree(pid: int) -> Iterator[int]:
