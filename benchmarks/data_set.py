@@ -79,7 +79,7 @@ def make(options: argparse.Namespace) -> None:
     """
     out: Path = options.out
     output_folder(out, ("README.md", "*/case_*.csv", "answers/*.csv"))
-    counts = {}
+    counts: dict[str, int] = {}
     for group, kinds in kinds_of(options.count, options.seed).items():
         workmanship = Workmanship() if group == "built" else None
         answers_file = out / "answers" / f"{group}.csv"

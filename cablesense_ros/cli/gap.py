@@ -453,11 +453,11 @@ def adapt(
             }
         )
         return
-    kept = str(path) if path else f"the estimator of {nominal.name}"
+    in_use = str(path) if path else f"the estimator of {nominal.name}"
     lines = [
         *recorded.notes,
         headline(verdict),
-        _outcome(adaptation, kept),
+        _outcome(adaptation, in_use),
         *([refused] if refused else []),
         f"Report: {out / 'report.html'}",
     ]

@@ -14,13 +14,15 @@ from cablesense_sim.arm import load_arm
 
 @pytest.mark.slow
 def test_a_tiny_one_is_made_and_read_and_its_answers_lie_apart(tmp_path, monkeypatch):
-    monkeypatch.setattr(data_set, "FRICTION", ("pretension_error",))  # friction takes long
+    kinds = {"nominal": ["sensor_offset"], "built": ["none"], "friction": ["none"]}
+    monkeypatch.setattr(data_set, "kinds_of", lambda *_: kinds)  # friction takes long
     out = tmp_path / "set"
     command = ["data_set.py", "--out", str(out), "--count", "1", "--workers", "1"]
     monkeypatch.setattr(sys, "argv", command)
     data_set.main()
     for group in ("nominal", "built", "friction"):
         answers = read_answers(out / f"answers/{group}.csv")
+        assert ["+".join(answer.effects) for answer in answers] == kinds[group]
         arm = load_arm(out / group / "arm.yaml")
         for answer in answers:
             recording = read_recording(out / group / f"{answer.recording}.csv", arm)
