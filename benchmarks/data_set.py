@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any, Final
 import blind_sets
 import harness
 import numpy as np
+from rich.progress import track
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_folder, write_atomically
@@ -45,7 +46,7 @@ ARM: Final = "cdsm_lab"
 FRICTION: Final = ("cable_creep", "capstan_friction", "joint_friction")
 """What the group `friction` hides, one each; the others hide none of it."""
 MEASURED: Final = ("nominal", "built")
-"""Groups with a baseline."""
+"""Groups that are diagnosed for the baseline unless others are named."""
 ARM_FILE: Final = "arm.yaml"
 RESULT: Final = "data_set.json"
 _CARD = Path(__file__).with_name("data_set_card.md")
@@ -66,6 +67,7 @@ def main() -> None:
         scores = {group: baseline(options.out, group, options.workers) for group in groups}
         made = {"arm": ARM, "seed": options.seed, "count": options.count}
         harness.publish(RESULT, {**made, "groups": scores}, options)
+        write_card(options.out, options.seed)
     else:
         make(options)
         print(f"{options.out / 'README.md'} says what it is")
@@ -79,26 +81,24 @@ def make(options: argparse.Namespace) -> None:
     """
     out: Path = options.out
     output_folder(out, ("README.md", "*/case_*.csv", "answers/*.csv"))
-    counts: dict[str, int] = {}
-    for group, kinds in kinds_of(options.count, options.seed).items():
+    for number, (group, kinds) in enumerate(kinds_of(options.count, options.seed).items()):
         workmanship = Workmanship() if group == "built" else None
         answers_file = out / "answers" / f"{group}.csv"
         nominal = read_nominal(find_arm(ARM))
-        seed = options.seed + len(counts)
         made = record_cases(
             out / group,
             answers_file,
             nominal,
             len(kinds),
-            seed,
+            options.seed + number,
             kinds,
             options.workers,
             workmanship=workmanship,
         )
-        counts[group] = sum(1 for _ in made)
+        list(track(made, f"Recording {group}", total=len(kinds)))
         known = open_arm(ARM) if group == "built" else blind_sets.narrow_arm(ARM)
         write_arm(out / group / ARM_FILE, known, "The nominal arm, with its maker's tolerances.")
-    write_atomically(out / "README.md", card(counts, options.seed, results()), CableSenseError)
+    write_card(out, options.seed)
 
 
 def kinds_of(count: int, seed: int) -> dict[str, list[str]]:
@@ -143,6 +143,15 @@ def _verdict(verdicts_folder: Path, path: Path) -> Verdict:
     return read_verdict(kept)
 
 
+def write_card(out: Path, seed: int) -> None:
+    """Write the card of the recordings that are there, with the baseline as committed."""
+    counts = {
+        group: len(read_answers(out / "answers" / f"{group}.csv"))
+        for group in (*MEASURED, "friction")
+    }
+    write_atomically(out / "README.md", card(counts, seed, results()), CableSenseError)
+
+
 def card(counts: Mapping[str, int], seed: int, scores: Mapping[str, Any]) -> str:
     """The text of the card, with the baseline if it was measured on this very set."""
     is_of_this = (scores.get("seed"), scores.get("count")) == (seed, counts["nominal"])
@@ -154,14 +163,13 @@ def card(counts: Mapping[str, int], seed: int, scores: Mapping[str, Any]) -> str
         seed=seed,
         version=package_version(),
         command=scores["command"] if is_of_this else "python benchmarks/data_set.py --baseline",
-        baseline="\n".join(_rows(groups)),
-        not_measured=f"No baseline was measured for {', '.join(missing)}." if missing else "",
+        baseline="\n".join([*_table(groups), *_without_baseline(missing)]),
     )
 
 
-def _rows(groups: Mapping[str, Any]) -> list[str]:
-    """Rows of the table of scores, a column for each group; none without a baseline."""
-    if not set(MEASURED) <= set(groups):
+def _table(groups: Mapping[str, Any]) -> list[str]:
+    """The table of scores, a column for each group; nothing without a baseline."""
+    if not groups:
         return []
     named = {
         "effects right": "exact",
@@ -169,13 +177,17 @@ def _rows(groups: Mapping[str, Any]) -> list[str]:
         "false alarms": "false_alarms",
         "unlisted causes called unknown": "unknown_recall",
     }
-    measured = [groups[name] for name in MEASURED]
-    rows = []
+    rows = [["", *groups], ["---"] * (1 + len(groups))]
     for label, key in named.items():
-        cells = [f"{one[key]['hits']} of {one[key]['count']}" for one in measured]
-        rows.append(f"| {' | '.join([label, *cells])} |")
-    removed = [f"{one['median_removed_fraction'] or 0.0:.0%}" for one in measured]
-    return [*rows, f"| {' | '.join(['gap removed, median of those right', *removed])} |"]
+        shares = [scores[key] for scores in groups.values()]
+        rows.append([label, *(f"{share['hits']} of {share['count']}" for share in shares)])
+    removed = [scores["median_removed_fraction"] or 0.0 for scores in groups.values()]
+    rows.append(["gap removed, median of those right", *(f"{share:.0%}" for share in removed)])
+    return [f"| {' | '.join(row)} |" for row in rows]
+
+
+def _without_baseline(groups: Sequence[str]) -> list[str]:
+    return ["", f"No baseline was measured for {', '.join(groups)}."] if groups else []
 
 
 def results() -> dict[str, Any]:

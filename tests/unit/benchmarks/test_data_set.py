@@ -45,14 +45,20 @@ def test_a_group_hides_friction_only_where_it_says_so():
     assert set(kinds["friction"]) == slow
 
 
-def test_the_card_states_the_figures_of_the_committed_result():
-    """Of that very set, and names the groups for which there are none."""
-    measured = data_set.results()
-    counts = {"nominal": measured["count"], "built": measured["count"], "friction": 3}
-    text = data_set.card(counts, measured["seed"], measured)
+def measured(hits):
+    share = {"hits": hits, "count": 8}
+    keys = ("exact", "where", "false_alarms", "unknown_recall")
+    return {**dict.fromkeys(keys, share), "median_removed_fraction": 0.97}
+
+
+def test_the_card_states_the_figures_of_that_very_set():
+    counts = {"nominal": 8, "built": 8, "friction": 3}
+    groups = {"nominal": measured(7), "built": measured(5)}
+    scores = {"seed": 6120, "count": 8, "command": "python one.py", "groups": groups}
+    text = data_set.card(counts, 6120, scores)
+    assert "| effects right | 7 of 8 | 5 of 8 |" in text
+    assert "| 97% | 97% |" in text
     assert "No baseline was measured for friction." in text
-    for group in data_set.MEASURED:
-        right = measured["groups"][group]["exact"]
-        assert f"{right['hits']} of {right['count']}" in text
-    other = data_set.card(counts, measured["seed"] + 1, measured)
+    other = data_set.card(counts, 6121, scores)
     assert "No baseline was measured for nominal, built, friction." in other
+    assert "7 of 8" not in other
