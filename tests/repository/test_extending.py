@@ -18,6 +18,7 @@ PAGE = (CHECKOUT / "docs/extending.md").read_text(encoding="utf-8")
 SECTIONS = dict(section.split("\n", maxsplit=1) for section in PAGE.split("\n## ")[1:])
 """Text of each section by its heading."""
 NEEDED = (
+    ".ci",
     "benchmarks",
     "cablesense_*",
     "config",
@@ -78,6 +79,9 @@ def test_every_kind_of_addition_is_a_patch_that_applies(copied: Path) -> None:
 def test_all_of_them_together_pass_linters_and_the_tests_that_the_page_names(copied: Path) -> None:
     applied = run_in(copied, "git", "apply", given=patch_of(PAGE))
     assert applied.returncode == 0, applied.stderr
+    reference = run_in(copied, sys.executable, ".ci/reference")  # make reference
+    assert reference.returncode == 0, reference.stderr
+    (copied / "docs/ros_reference.md").write_text(reference.stdout, encoding="utf-8")
     assert all("\npytest " in section for section in SECTIONS.values())
     named_tests = shlex.split(" ".join(re.findall(r"(?m)^pytest (.*)$", PAGE)))
     python = sys.executable
