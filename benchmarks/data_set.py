@@ -49,6 +49,7 @@ MEASURED: Final = ("nominal", "built")
 """Groups that are diagnosed for the baseline unless others are named."""
 ARM_FILE: Final = "arm.yaml"
 RESULT: Final = "data_set.json"
+_BASELINE = "python benchmarks/data_set.py --out FOLDER --baseline --write"
 _CARD = Path(__file__).with_name("data_set_card.md")
 
 
@@ -162,13 +163,13 @@ def card(counts: Mapping[str, int], seed: int, scores: Mapping[str, Any]) -> str
         count=counts["nominal"],
         seed=seed,
         version=package_version(),
-        command=scores["command"] if is_of_this else "python benchmarks/data_set.py --baseline",
-        baseline="\n".join([*_table(groups), *_without_baseline(missing)]),
+        command=scores["command"] if is_of_this else _BASELINE,
+        baseline="\n\n".join([*_table(groups), *_without_baseline(missing)]),
     )
 
 
 def _table(groups: Mapping[str, Any]) -> list[str]:
-    """The table of scores, a column for each group; nothing without a baseline."""
+    """The table of scores, a column for each group; none without a baseline."""
     if not groups:
         return []
     named = {
@@ -183,11 +184,11 @@ def _table(groups: Mapping[str, Any]) -> list[str]:
         rows.append([label, *(f"{share['hits']} of {share['count']}" for share in shares)])
     removed = [scores["median_removed_fraction"] or 0.0 for scores in groups.values()]
     rows.append(["gap removed, median of those right", *(f"{share:.0%}" for share in removed)])
-    return [f"| {' | '.join(row)} |" for row in rows]
+    return ["\n".join(f"| {' | '.join(row)} |" for row in rows)]
 
 
 def _without_baseline(groups: Sequence[str]) -> list[str]:
-    return ["", f"No baseline was measured for {', '.join(groups)}."] if groups else []
+    return [f"No baseline was measured for {', '.join(groups)}."] if groups else []
 
 
 def results() -> dict[str, Any]:
