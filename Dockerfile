@@ -31,6 +31,6 @@ RUN apt-get update \
     && rosdep update --rosdistro jazzy \
     && python3 -m rosdep2 install -y --from-paths src --ignore-src --as-root pip:no \
     && rm -rf /var/lib/apt/lists/*
-RUN pip install --no-cache-dir 'numpy<2' 'pydantic>=2' lazy-loader lz4 mcap msgspec onnx viser zstandard
+RUN pip install --no-cache-dir 'numpy<2' 'pydantic>=2' lazy-loader lz4 mcap msgspec onnx trimesh viser zstandard
 RUN . /opt/ros/jazzy/setup.bash && python3 -m colcon build --base-paths src src/*/cablesense_msgs
 CMD ["ros2", "launch", "cablesense_ros", "demo.launch.py", "page:=true"]

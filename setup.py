@@ -38,6 +38,7 @@ PAGE = [
     "jinja2",  # the figures on the page
     "matplotlib",  # the picture of a headless demo, pictures of an evaluation
     "msgspec",  # reads what a browser sends, before viser does
+    "trimesh",  # surfaces of a machine's shapes
     "viser",  # the 3D page in the browser
     "websockets",  # viser's server, whose requests are checked
 ]

@@ -90,6 +90,7 @@ EXTRAS = {
     "numba": "sim",
     "scipy": "gap",
     "msgspec": "page",
+    "trimesh": "page",
     "viser": "page",
     "websockets": "page",
     "jinja2": "gap",

@@ -23,8 +23,6 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
 
-LOG_PRIOR_CONTACT = math.log(0.01)
-"""Of a contact in a reading, against none: machines are untouched most of their time."""
 LOG_PRIOR_WRENCH = math.log(0.01)
 """Of several contacts or a couple on one segment, against a single contact."""
 LOG_PRIOR_SEVERAL = math.log(0.01)
@@ -123,10 +121,8 @@ class Judge:
         evidence = seen.contact_evidence[0]
         segment = int(evidence.argmax())
         top = float(evidence[segment])
-        on_any_link = top + math.log(float(np.exp(evidence - top).sum()))
-        contact = on_any_link + LOG_PRIOR_CONTACT
-        log_weights = np.append(0.0, evidence + LOG_PRIOR_CONTACT)
-        weights = np.exp(log_weights - max(contact, 0.0))
+        contact = top + math.log(float(np.exp(evidence - top).sum()))
+        weights = np.exp(np.append(0.0, evidence) - max(contact, 0.0))
         probabilities = weights / weights.sum()
         touched = contact >= self._log_odds
 
@@ -226,7 +222,7 @@ class Judge:
         )
         beside = seen.faulty_segment_evidence[0]
         channel, of_segment = divmod(int(beside.argmax()), beside.shape[1])
-        weight = float(beside[channel, of_segment]) + LOG_PRIOR_CONTACT + each
+        weight = float(beside[channel, of_segment]) + each
         yield _Rival(
             weight,
             weight,
@@ -245,14 +241,14 @@ class Judge:
         )
         wrench = seen.segment_evidence[0]
         segment = int(wrench.argmax())
-        weight = float(wrench[segment]) + LOG_PRIOR_CONTACT + LOG_PRIOR_WRENCH
+        weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
         yield _Rival(
             weight,
             weight,
             f"several contacts or a couple on {self._link(segment)}",
             same_moment=segment == int(seen.contact_evidence[0].argmax()),
         )
-        weight = float(seen.several_evidence[0]) + LOG_PRIOR_CONTACT + LOG_PRIOR_SEVERAL
+        weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
         yield _Rival(weight, weight, "contacts on several segments")
 
 

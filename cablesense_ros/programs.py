@@ -13,13 +13,16 @@ from cablesense_base.installation import missing_package_line
 
 
 def _run(node: str) -> int:
-    """Run the node of a module `cablesense_ros.<node>_node`; the process's exit code."""
+    """Run the node of a module `cablesense_ros.<node>_node`; the process's exit code.
+
+    What a kind of machine needs is imported when the node opens its file.
+    """
     try:
         module = import_module(f"cablesense_ros.{node}_node")
+        code: int = module.main()
     except ModuleNotFoundError as error:
         print(f"cannot start: {missing_package_line(error)}", file=sys.stderr)
         return 2
-    code: int = module.main()
     return code
 
 

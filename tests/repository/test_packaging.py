@@ -70,7 +70,7 @@ def test_every_requirement_of_the_nodes_has_a_rosdep_key_or_is_named_for_pip(
     of_all, of_a_robot = re.findall(r"^pip install ('numpy<2'.*)$", development, re.MULTILINE)
     by_pip = {canonicalize_name(Requirement(word.strip("'")).name) for word in of_all.split()}
     assert set(of_a_robot.split()) <= set(of_all.split())
-    names = {"python-can": "can", "pyyaml": "yaml"}
+    names = {"pillow": "pil", "python-can": "can", "pyyaml": "yaml"}
     for requirement in direct:
         wanted = [requirement.marker is None] + [
             requirement.marker is not None and requirement.marker.evaluate({"extra": extra})

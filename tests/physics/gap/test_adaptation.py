@@ -82,6 +82,7 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
             unseen: Collection[int] = (),
             force: bool = False,
             announce: object = None,
+            kept: object = None,
         ) -> Diagnosis:
             asked.append(unseen or others[-1])
             shares = {effect.effect: SHARE for effect in effects}

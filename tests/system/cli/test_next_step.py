@@ -85,7 +85,7 @@ def named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
             unexplained_share=0.0,
         )
 
-        def diagnose(recording, arm, *_, force=False, announce=None) -> Diagnosis:
+        def diagnose(recording, arm, *_, force=False, announce=None, kept=None) -> Diagnosis:
             read_n = recording.tensions_n
             every = np.ones(len(recording), dtype=bool)
             known = expected_parameters(amended)

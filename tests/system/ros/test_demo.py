@@ -290,7 +290,7 @@ def test_a_built_arm_is_commissioned_pushed_and_reported(tmp_path, capfd):
     run_headless(DemoOptions(out=tmp_path), duration_s=4.0, as_json=True)
     out, said = capfd.readouterr()
     report = json.loads(out)
-    known_n = [float(each) for each in re.findall(r"±([0-9.]+)\s+N", said)]
+    known_n = [float(each) for each in re.findall(r"±\s*([0-9.]+)\s+N", said)]
     assert 0.0 < known_n[1] < known_n[0]  # after the tare, and after the commissioning
     assert report["summary"]["pushes"] == report["summary"]["segment_right"] == 1
     assert report["summary"]["place_covered"] == report["summary"]["force_covered"] == 1
