@@ -32,6 +32,8 @@ FOLDER = "unfinished"
 """Name of the folder beside the files of a diagnosis."""
 _WORTH_KEEPING_S = 0.02
 """A prediction that took less time is computed as fast as it is read."""
+_LEAST_FREE_SHARE = 0.1
+"""Of the disk: with less, nothing more is kept, and a resumed diagnosis simulates the rest anew."""
 _PACKAGES = (cablesense_gap, cablesense_recording, cablesense_sim)
 
 
@@ -139,11 +141,17 @@ class KeptSimulator:
             return np.asarray(np.load(path, allow_pickle=False))
         begin_s = time.perf_counter()
         simulated = simulate()
-        if time.perf_counter() - begin_s > _WORTH_KEEPING_S:
-            self._folder.mkdir(parents=True, exist_ok=True)
+        took_long = time.perf_counter() - begin_s > _WORTH_KEEPING_S
+        if took_long and self._has_room():
             with written_whole(path, KeptSimulationsError) as beside, beside.open("wb") as file:
                 np.save(file, simulated, allow_pickle=False)
         return simulated
+
+    def _has_room(self) -> bool:
+        """Whether the disk has room for more; the folder exists afterwards."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        disk = shutil.disk_usage(self._folder)
+        return disk.free > _LEAST_FREE_SHARE * disk.total
 
 
 def _files(inputs: Iterable[Path]) -> Iterable[Path]:
