@@ -32,7 +32,7 @@ from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
 from cablesense_online.models import Loaded, LoadedModel
-from cablesense_online.placed_links import frames_of
+from cablesense_online.placed_links import PlacedLinks, frames_of
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
@@ -243,6 +243,7 @@ class RebuiltEstimator:
         self._loaded: Loaded | None = None
         self._estimation: Estimation | None = None
         self._writers: list[WrenchWriter] = []
+        self._placed = PlacedLinks(None)
         self._unknown_force = "zero"
 
     def take(self, raw: RawMessage | CalibrationMessage) -> ReplayedAnswer | None:
@@ -278,6 +279,7 @@ class RebuiltEstimator:
             self._estimation = Estimation(loaded.machine, contacts, provenance.settings, 0.0)
             frames = frames_of(loaded.machine, provenance.frame_prefix)
             self._writers = wrench_writers(frames)
+            self._placed = PlacedLinks(loaded.machine.link_frames)
             self._unknown_force = provenance.settings.unknown_force
         assert self._loaded is not None
         settings = provenance.settings
@@ -294,8 +296,11 @@ class RebuiltEstimator:
             return None
         answer = self._estimation.sample(sample, stamp, stamp * 1e-9)
         wrench = answer.wrench(self._unknown_force)
-        writer = self._writers[answer.contact.segment]
-        written = b"" if wrench is None else bytes(writer.write(stamp, wrench))
+        segment = answer.contact.segment
+        written = b""
+        if wrench is not None:
+            placed = self._placed.wrench(segment, wrench)
+            written = bytes(self._writers[segment].write(stamp, placed))
         return ReplayedAnswer(stamp, answer, written, len(self._loaded.machine.link_names))
 
     def _load(self, provenance: Provenance) -> Loaded:
