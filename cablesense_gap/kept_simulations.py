@@ -33,7 +33,7 @@ FOLDER = "unfinished"
 _WORTH_KEEPING_S = 0.02
 """A prediction that took less time is computed as fast as it is read."""
 _LEAST_FREE_SHARE = 0.1
-"""Of the disk: with less, nothing more is kept, and a resumed diagnosis simulates the rest anew."""
+"""Of the disk: with less, no more is kept, and a resumed diagnosis simulates the rest anew."""
 _PACKAGES = (cablesense_gap, cablesense_recording, cablesense_sim)
 
 

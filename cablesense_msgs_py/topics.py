@@ -6,7 +6,6 @@ Topics with `~` are relative to the estimator's own name. Frames are `base_link`
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -34,7 +33,8 @@ JOINT_STATES: Final = "joint_states"
 real arm the set-points of its commands, from `can_driver`."""
 APPLIED_WRENCH: Final = "applied_wrench"
 """`geometry_msgs/WrenchStamped`: a known force on one segment, in base axes, N. In frame
-`segment_N` without torque, or in the base frame with the torque that it has there."""
+`segment_N` without torque, or in the base frame with the torque that it has there; in the frame
+of a machine's link, a torque says where on the link it acts."""
 TRIAL: Final = "trial"
 """`std_msgs/Int32`: optional, for a diagnosis; the number of the trial that starts now."""
 ROBOT_DESCRIPTION: Final = "robot_description"
@@ -131,14 +131,10 @@ class Frames:
         Raises:
             ContractError: the frame is not one of this arm's segments.
         """
-        frames = [self.segment(number) for number in range(1, len(self.names) + 1)]
-        if frame_id in frames:
-            return 1 + frames.index(frame_id)
-        match = re.fullmatch(re.escape(self.prefix) + r"segment_([1-9][0-9]{0,3})", frame_id)
-        number = int(match.group(1)) if match else 0
-        if not 1 <= number <= self.segment_count:
+        frames = [self.segment(number) for number in range(1, self.segment_count + 1)]
+        if frame_id not in frames:
             raise ContractError(
                 f"header.frame_id is {frame_id[:40]!r}; it must be one of {self.segment(1)} … "
                 f"{self.segment(self.segment_count)}"
             )
-        return number
+        return 1 + frames.index(frame_id)

@@ -138,13 +138,8 @@ class LiveMachine:
                     self._measured = self._joints.arrange(
                         message.name, message.position, "position"
                     )
-                case topics.JOINT_COMMANDS if breath_turn(message) is None:
-                    # a breath leaves the pose at which contact angles are counted
-                    largest = self.shown.felt.largest_command
-                    target = self._motion.target_rad
-                    command = joint_command_rad(message, self._commands, target, largest)
-                    checked = self.shown.checked_command(command)
-                    self._motion = self._motion.towards(checked)
+                case topics.JOINT_COMMANDS:
+                    self._take_command(message)
                 case topics.APPLIED_WRENCH:
                     load = self.shown.read_load(message, self.frames, self._pose)
                     self._loads[load.segment] = load
@@ -161,6 +156,15 @@ class LiveMachine:
                 case _:
                     self._wrenches[topic] = self._local_wrench(message)
             self._came_s[topic] = now_s
+
+    def _take_command(self, message: Any) -> None:
+        """A breath's are passed over: contact angles are counted at the pose before it."""
+        if breath_turn(message) is not None:
+            return
+        largest = self.shown.felt.largest_command
+        target = self._motion.target_rad
+        command = joint_command_rad(message, self._commands, target, largest)
+        self._motion = self._motion.towards(self.shown.checked_command(command))
 
     def _local_wrench(self, message: Any) -> _Wrench:
         vectors = (message.wrench.force, message.wrench.torque)

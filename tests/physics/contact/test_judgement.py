@@ -71,6 +71,21 @@ def test_a_push_is_placed_and_its_force_lies_in_its_interval(bench, segment):
     assert seen.place_m[0] == pytest.approx(0.06, abs=0.015)
 
 
+def test_a_force_that_nothing_might_read_as_well_is_unconfirmed(bench):
+    """A push that grows is free first, then doubted, then vouched for."""
+    states = []
+    for force_n in np.linspace(0.05, 0.25, 21):
+        push = bench.push(3, 0.06, [0.0, force_n, 0.0])
+        tensions_n = np.tile(bench.built.tensions_n(COMMAND, [push]), (400, 1))
+        reading = bench.built.read(tensions_n, np.random.default_rng(1)).mean(axis=0)
+        judgement, _ = bench.judged(reading)
+        states.append(judgement.state)
+        doubted = judgement.state is ContactState.UNCONFIRMED
+        assert ("nothing touches" in judgement.doubt) == doubted
+    in_order = [ContactState.FREE, ContactState.UNCONFIRMED, ContactState.CONTACT]
+    assert list(dict.fromkeys(states)) == in_order
+
+
 def test_a_force_outside_the_cone_of_friction_is_not_vouched_for(bench):
     """No single contact that presses and rubs makes it, and two on neighbouring segments do."""
     judgement, seen = bench.judged(bench.reading(bench.push(4, 0.06, [9.0, 12.0, -9.0])))

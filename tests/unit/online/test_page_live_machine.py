@@ -7,7 +7,7 @@ import pytest
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import Contact, ForceState, Level
+from cablesense_msgs_py.messages import Contact, ForceState, Level, breath_frame
 from cablesense_online.page.live_machine import STALE_S, LiveMachine
 from cablesense_online.page.shown_arm import ShownArm
 from cablesense_online.page.shown_model import ShownModel
@@ -149,6 +149,14 @@ def test_what_cannot_be_is_refused_and_changes_nothing(live):
         live.take(topics.JOINT_COMMANDS, command(0.6), 0.0)
     live.snapshot(0.0)
     assert live.snapshot(30.0).true == ()
+    assert not live.snapshot(30.0).pose.any()
+
+
+def test_the_commands_of_a_breath_move_no_arm_on_the_page(live):
+    breathed = command(0.1)
+    breathed.header.frame_id = breath_frame(3)
+    live.take(topics.JOINT_COMMANDS, breathed, 0.0)
+    live.snapshot(0.0)
     assert not live.snapshot(30.0).pose.any()
 
 
