@@ -32,7 +32,7 @@ GAIN = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.3}
 def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Writes the recording of an arm, which is always diagnosed as having a wrong gain."""
 
-    def diagnose(recording, arm, *_, force=False, announce=None) -> Diagnosis:
+    def diagnose(recording, arm, *_, force=False, announce=None, kept=None) -> Diagnosis:
         rest = {"tolerances_n": 0.1, "unexplained_n": 0.0, "unexplained_share": 0.0}
         verdict = verdict_of("sensor_gain", shares={"sensor_gain": SHARE}, **rest)
         read = recording.tensions_n
