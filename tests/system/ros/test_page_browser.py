@@ -565,11 +565,19 @@ def test_a_machine_is_drawn_pushed_and_moved_under_its_own_names(machine_tab):
     for absent in ("segment", "joint 1", "Commission", "Breathe"):
         assert absent not in text
     eventually(lambda: canvas_pixels(machine_tab), drawn, "the canvas stayed empty")
-    machine_tab.click_button("Push")
+    if machine_tab.has_button("Release"):  # this test is repeated
+        machine_tab.press("curl, °", "Home")
+    else:
+        machine_tab.click_button("Push")
     true = wait_for_cells(machine_tab, "true", lambda row: row[:1] == ["fingertip"])
     assert true == ["fingertip", "4", "215.0", "1.50", "–"]
     at_home = eventually(lambda: arrow_px(machine_tab), np.isfinite, "no arrow was drawn")
-    machine_tab.press("curl, °", "End")
+
+    def arrow_px_of_a_curled_finger():
+        """Its column; a page that draws for long may miss a key."""
+        machine_tab.press("curl, °", "End")
+        return arrow_px(machine_tab)
+
     curled = "the arrow did not follow the fingertip"
-    eventually(lambda: arrow_px(machine_tab), lambda px: px < at_home - 5.0, curled)
+    eventually(arrow_px_of_a_curled_finger, lambda px: px < at_home - 5.0, curled)
     assert not machine_tab.evaluate(CUT_OFF)
