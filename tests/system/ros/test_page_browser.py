@@ -24,14 +24,12 @@ pytest.importorskip("viser", reason="needs viser: install the extra `page`")
 from PIL import Image
 from websockets.sync.client import connect
 
-from cablesense_ros.processes import ProcessError, Processes, free_domain, node_command, own_graph
-from tests.helpers.checkout import CHECKOUT
+from cablesense_ros.processes import ProcessError, Processes, node_command, own_graph
 from tests.helpers.page_visitor import SUBPROTOCOL
 
 # a picture takes Chromium fifteen seconds where other tests keep the cores busy
 pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(500)]
 
-MACHINES = CHECKOUT / "config" / "machines"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
     "--headless",
@@ -247,25 +245,6 @@ WITHOUT_NOTICES = (
     " {textContent: '.mantine-Notifications-root { display: none }'}))"
 )
 """The viewer's notice of slow rendering lies above the arm on a busy machine."""
-
-
-@pytest.fixture(scope="module")
-def machine_tab(browser, tmp_path_factory):
-    """A tab with the page of a machine that MuJoCo describes, which nobody estimates."""
-    arm = {"arm": str(MACHINES / "finger.yaml")}
-    commands = {
-        "sim": node_command("sim", {"rate_hz": 20.0} | arm),
-        "page": node_command("page", {"port": 18_090, "rate_hz": 5.0} | arm),
-    }
-    # a domain of its own: Fast DDS may never come back from discovering another participant
-    apart = own_graph() | {"ROS_DOMAIN_ID": str(free_domain.__wrapped__())}
-    with Processes(commands, tmp_path_factory.mktemp("machine"), apart) as processes:
-        tab = browser.new_tab(processes.wait_for_line("page", "page: ", PATIENCE_S))
-        tab.call("Page.bringToFront")  # what lies behind is not drawn
-        tab.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
-        tab.evaluate(WITHOUT_NOTICES)
-        yield tab
-        tab.close()
 
 
 @pytest.fixture
@@ -549,35 +528,3 @@ def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser, at_res
         assert 0 < browser.evaluate(f"{summary}.bottom") <= 844
     finally:
         browser.resize(WIDTH, HEIGHT)
-
-
-def test_a_machine_is_drawn_pushed_and_moved_under_its_own_names(machine_tab):
-    text = machine_tab.evaluate("document.body.innerText")
-    for label in (
-        "Push the machine",
-        "Waiting for the estimator",
-        "fingertip",
-        "flexor_deep",
-        "curl, °",
-        "tension now, N, by the body that a tendon ends on",
-    ):
-        assert label in text
-    for absent in ("segment", "joint 1", "Commission", "Breathe"):
-        assert absent not in text
-    eventually(lambda: canvas_pixels(machine_tab), drawn, "the canvas stayed empty")
-    if machine_tab.has_button("Release"):  # this test is repeated
-        machine_tab.press("curl, °", "Home")
-    else:
-        machine_tab.click_button("Push")
-    true = wait_for_cells(machine_tab, "true", lambda row: row[:1] == ["fingertip"])
-    assert true == ["fingertip", "4", "215.0", "1.50", "–"]
-    at_home = eventually(lambda: arrow_px(machine_tab), np.isfinite, "no arrow was drawn")
-
-    def arrow_px_of_a_curled_finger():
-        """Its column; a page that draws for long may miss a key."""
-        machine_tab.press("curl, °", "End")
-        return arrow_px(machine_tab)
-
-    curled = "the arrow did not follow the fingertip"
-    eventually(arrow_px_of_a_curled_finger, lambda px: px < at_home - 5.0, curled)
-    assert not machine_tab.evaluate(CUT_OFF)
