@@ -133,7 +133,8 @@ class Walk:
         bench = self._bench
         command = self._state.pose_rad
         assert command is not None
-        self._state, belief = self._arm.belief(self._state, reading, 1, touched=touched)
+        state, belief = self._arm.belief(self._state, reading, 1, touched=touched)
+        self._state = state
         seen = bench.law(
             reading[None], command[None], belief.mean, belief.covariance, bench.unrest
         )
@@ -163,6 +164,25 @@ def stated_machine(name: str, coefficient: float) -> Machine:
         return open_machine(path)
 
 
+class Statement(NamedTuple):
+    """An answer to a contact against the truth; or the columns (K,) of many.
+
+    Attributes:
+        is_contact: whether force and place are stated, not the moment alone.
+        off_mm: error of the place, along all links.
+        off_share: error of the lateral force, as a share of it.
+        in_region, in_force: whether the 95 % intervals hold the truth.
+        half_width_share: of the force's interval, as a share of the force.
+    """
+
+    is_contact: Any
+    off_mm: Any
+    off_share: Any
+    in_region: Any
+    in_force: Any
+    half_width_share: Any
+
+
 def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
     """Of all contacts, and of untouched readings after motions and after contacts."""
     touched = [answer for answer in answers if answer.contact is not None]
@@ -170,7 +190,7 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
     links = bench.machine.links
     span_m = links.touched_m[:, 1] - links.touched_m[:, 0]
     joint_m = np.cumsum(span_m) - links.touched_m[:, 1]
-    rows = []
+    statements = []
     for answer in stated:
         contact = answer.contact
         assert contact is not None
@@ -180,20 +200,20 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
         along_m = joint_m[contact.link] + contact.place_m
         lateral_n = float(np.hypot(*seen.force_n[0, 1:]))
         off_m = abs(joint_m[int(seen.contact_evidence[0].argmax())] + seen.place_m[0] - along_m)
-        rows.append(
-            (
-                answer.judgement.state is ContactState.CONTACT,
-                1e3 * off_m,
-                abs(lateral_n - contact.lateral_n) / contact.lateral_n,
-                start_m - 1e-6 <= along_m <= end_m + 1e-6,
-                low_n <= contact.lateral_n <= high_n,
-                0.5 * (high_n - low_n) / contact.lateral_n,
+        statements.append(
+            Statement(
+                is_contact=answer.judgement.state is ContactState.CONTACT,
+                off_mm=1e3 * off_m,
+                off_share=abs(lateral_n - contact.lateral_n) / contact.lateral_n,
+                in_region=start_m - 1e-6 <= along_m <= end_m + 1e-6,
+                in_force=low_n <= contact.lateral_n <= high_n,
+                half_width_share=0.5 * (high_n - low_n) / contact.lateral_n,
             )
         )
-    if not rows:
+    if not statements:
         return {"contacts": len(touched), "answered": 0.0}
-    is_contact, off_mm, off_share, in_region, in_force, width = np.array(rows, dtype=float).T
-    known = is_contact > 0.0
+    columns = Statement._make(np.array(statements, dtype=float).T)
+    known = columns.is_contact > 0.0
 
     def share(kind: Kind) -> float:
         of_kind = [answer.judgement.state in ANSWERED for answer in answers if answer.kind is kind]
@@ -203,11 +223,11 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
         "contacts": len(touched),
         "answered": round(len(stated) / len(touched), 3),
         "with force": round(float(known.sum()) / len(touched), 3),
-        "place interval holds": round(float(in_region.mean()), 3),
-        "force interval holds": round(float(in_force.mean()), 3),
-        "place, mm": harness.percentiles(off_mm[known], ("median", "95 %")),
-        "force, share": harness.percentiles(off_share[known], ("median", "95 %"), 4),
-        "half of the force interval, share": round(float(np.median(width)), 3),
+        "place interval holds": round(float(columns.in_region.mean()), 3),
+        "force interval holds": round(float(columns.in_force.mean()), 3),
+        "place, mm": harness.percentiles(columns.off_mm[known], ("median", "95 %")),
+        "force, share": harness.percentiles(columns.off_share[known], ("median", "95 %"), 4),
+        "half of the force interval, share": round(float(np.median(columns.half_width_share)), 3),
         "false contacts": {kind.value: share(kind) for kind in (Kind.CAME, Kind.RELEASED)},
     }
 

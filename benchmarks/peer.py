@@ -52,6 +52,27 @@ class _Model:
     effects: Assignment
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """What both made of one recording.
+
+    Attributes:
+        diagnosis: that of this project.
+        models: the nominal one and both amended ones, by name.
+        effort: processor time of both, and what the peer's numbers say.
+    """
+
+    diagnosis: RobotDiagnosis
+    models: dict[str, _Model]
+    effort: dict[str, Any]
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The effects that the diagnosis names, and how sure it is."""
+        verdict = self.diagnosis.verdict
+        return {"named": "+".join(verdict.effects), "probability": round(verdict.probability, 3)}
+
+
 def main() -> int:
     """Draws, records, fits with both, judges, prints; keeps the figures with `--write`."""
     parser = blind_sets.parser(__doc__, "results/peer.json", seed=5914)
@@ -98,45 +119,44 @@ def _planted(case: RobotCase, folder: Path) -> dict[str, Any]:
     seen = read_recording(folder / name, robot)
     unseen = read_recording(folder / "second" / name, robot)
     model_file = folder / f"{case.answer.recording}_sysid.xml"
-    diagnosis, models, took = _fitted_by_both(seen, robot, model_file)
-    compared_hz = diagnosis.system.motion.compared_hz
+    compared = _fitted_by_both(seen, robot, model_file)
+    compared_hz = compared.diagnosis.system.motion.compared_hz
     motions = [prepared(unseen, robot, compared_hz, forward=forward) for forward in (False, True)]
     return {
         "case": f"{robot.name}, {case.answer.recording}",
         "hidden": case.answer.effects,
-        "named": "+".join(diagnosis.verdict.effects),
-        "probability": round(diagnosis.verdict.probability, 3),
-        "right": set(diagnosis.verdict.effects) == set(case.answer.effects.split("+")),
+        **compared.named,
+        "right": set(compared.diagnosis.verdict.effects) == set(case.answer.effects.split("+")),
         "floors_left": {
-            judged: _floors_left(models, motion)
+            judged: _floors_left(compared.models, motion)
             for judged, motion in zip(_JUDGED, motions, strict=True)
         },
-        **took,
+        **compared.effort,
     }
 
 
 def _pendulum(design: str, data: Path, folder: Path) -> dict[str, Any]:
     """Both on every other run of a design, judged on the runs between, in N·m."""
-    robot, seen, unseen = pendulum_runs(design, data)
+    runs = pendulum_runs(design, data)
     model_file = folder / f"pendulum_{design}_sysid.xml"
-    diagnosis, models, took = _fitted_by_both(seen, robot, model_file, zeroed=True)
-    motion = prepared(unseen, robot, diagnosis.system.motion.compared_hz, zeroed=True)
+    compared = _fitted_by_both(runs.diagnosed, runs.robot, model_file, zeroed=True)
+    compared_hz = compared.diagnosis.system.motion.compared_hz
+    motion = prepared(runs.judged, runs.robot, compared_hz, zeroed=True)
     return {
         "case": f"double pendulum {design}",
-        "named": "+".join(diagnosis.verdict.effects),
-        "probability": round(diagnosis.verdict.probability, 3),
+        **compared.named,
         "torque_error_n_m": {
             name: torque_errors(model.robot, motion, model.effects)[-1]
-            for name, model in models.items()
+            for name, model in compared.models.items()
         },
-        **took,
+        **compared.effort,
     }
 
 
 def _fitted_by_both(
     recording: RobotRecording, robot: Robot, model_file: Path, *, zeroed: bool = False
-) -> tuple[RobotDiagnosis, dict[str, _Model], dict[str, Any]]:
-    """The diagnosis, the models by name, and what both took; what the peer's numbers say."""
+) -> _Compared:
+    """The diagnosis of a recording, and the fit of the peer."""
     began_s = time.process_time()
     diagnosis = diagnose(recording, robot, zeroed=zeroed)
     cpu_s = time.process_time() - began_s
@@ -146,7 +166,7 @@ def _fitted_by_both(
         "diagnosis": _Model(robot, diagnosis.amended),
         "sysid": _Model(fit.robot, fit.offsets),
     }
-    took = {
+    effort = {
         "cpu_s": {"diagnosis": round(cpu_s, 1), "sysid": round(fit.cpu_s, 1)},
         "sysid": {
             "parameters": fit.parameters,
@@ -155,7 +175,7 @@ def _fitted_by_both(
             "evaluations": fit.evaluations,
         },
     }
-    return diagnosis, models, took
+    return _Compared(diagnosis, models, effort)
 
 
 def _floors_left(models: Mapping[str, _Model], motion: Motion) -> dict[str, float]:

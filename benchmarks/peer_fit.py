@@ -91,7 +91,8 @@ def fitted(robot: Robot, motion: Motion, path: Path) -> PeerFit:
             max_iters=_MOST_ITERATIONS,
             ftol=_SETTLED,
         )
-    _covariance, half_width = sysid.calculate_intervals([result.fun], result.jac)
+    covariance_and_half_width = sysid.calculate_intervals([result.fun], result.jac)
+    half_width = covariance_and_half_width[1]
     value = best.as_vector()
     low, high = best.get_bounds()
     near = _FROM_BOUND * (high - low)

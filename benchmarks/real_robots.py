@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -108,8 +108,16 @@ def _jaws(data: Path) -> dict[str, Any]:
     return figures
 
 
-def pendulum_runs(design: str, data: Path) -> tuple[Robot, RobotRecording, RobotRecording]:
+class PendulumRuns(NamedTuple):
     """A design's published model, every other of its runs, and those between."""
+
+    robot: Robot
+    diagnosed: RobotRecording
+    judged: RobotRecording
+
+
+def pendulum_runs(design: str, data: Path) -> PendulumRuns:
+    """The runs of a design."""
     index = pd.read_csv(data / "index.csv")
     robot = load_robot(MODELS / f"double_pendulum_{DESIGNS[design]}.xml")
     runs = [
@@ -117,17 +125,17 @@ def pendulum_runs(design: str, data: Path) -> tuple[Robot, RobotRecording, Robot
         for run in index[index.design == design].recording
     ]
     tables = [run.rename(columns=_PENDULUM_COLUMNS) for run in runs]
-    return robot, _recording(tables[::2], robot), _recording(tables[1::2], robot)
+    return PendulumRuns(robot, _recording(tables[::2], robot), _recording(tables[1::2], robot))
 
 
 def _pendulum(design: str, data: Path) -> dict[str, Any]:
     """Every other run of a design is diagnosed, those between are judged."""
-    robot, diagnosed, judged = pendulum_runs(design, data)
-    diagnosis = diagnose(diagnosed, robot, zeroed=True)
+    runs = pendulum_runs(design, data)
+    diagnosis = diagnose(runs.diagnosed, runs.robot, zeroed=True)
     compared_hz = diagnosis.system.motion.compared_hz
-    motion = prepared(judged, robot, compared_hz, zeroed=True)
+    motion = prepared(runs.judged, runs.robot, compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)
-    errors = partial(torque_errors, robot)
+    errors = partial(torque_errors, runs.robot)
     return {
         **_stated(diagnosis.verdict),
         "compared up to, Hz": round(compared_hz, 2),

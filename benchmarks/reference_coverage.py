@@ -230,18 +230,18 @@ def main() -> int:
         each_case.append(outcome)
         print(outcome, flush=True)
     right = sum(outcome["right"] for outcome in each_case)
-    none = sum(outcome["named"] == NONE for outcome in each_case)
+    none_named = sum(outcome["named"] == NONE for outcome in each_case)
     bar = "named with its sign" if options.loads else "cannot_tell or right"
     figures = {
         "seed": seed,
         "cases": len(each_case),
         "right": right,
-        "none": none,
+        "none": none_named,
         "named": dict(Counter(outcome["named"] for outcome in each_case)),
         "seconds_of_a_diagnosis": harness.percentiles(
             [outcome["seconds"] for outcome in each_case], ("median", "worst"), 1
         ),
-        "bars": {bar: right == len(planted), "none 0": none == 0},
+        "bars": {bar: right == len(planted), "none 0": none_named == 0},
         "each_case": each_case,
     }
     if options.loads:

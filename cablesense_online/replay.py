@@ -43,6 +43,7 @@ _WRENCH_NUMBERS: Final = struct.Struct("<6d")
 _REPLAYED = (
     topics.CABLE_TENSIONS,
     topics.JOINT_COMMANDS,
+    topics.JOINT_STATES,
     topics.CABLE_OFFSETS,
     topics.CALIBRATION_USED,
 )
@@ -261,10 +262,12 @@ class RebuiltEstimator:
             return None
         if topic == topics.CABLE_TENSIONS:
             return self._answer(raw.data)
-        take = {
-            topics.JOINT_COMMANDS: self._estimation.command,
+        measured = self._loaded.machine.reads_joints
+        takes = {
+            topics.JOINT_STATES if measured else topics.JOINT_COMMANDS: self._estimation.command,
             topics.CABLE_OFFSETS: self._estimation.offset,
-        }.get(topic)
+        }
+        take = takes.get(topic)
         if take is not None:
             with suppress(CableSenseError):  # the live estimator refused it too
                 take(parsed_message(raw))

@@ -214,24 +214,40 @@ def rendered_film(model: mujoco.MjModel, clip: Clip) -> tuple[bytes, bytes]:
             colours=np.array([_rgb(prediction.colour) for prediction in clip.predictions]),
         )
         chosen = os.environ.get("MUJOCO_GL")
+        refusals = []
         for driver in [chosen] if chosen else _DRIVERS:
-            if _rendered_by(driver, folder):
+            refusal = _refusal_of(driver, folder)
+            if not refusal:
                 animation = (folder / rendering.ANIMATION).read_bytes()
                 return animation, (folder / rendering.POSTER).read_bytes()
-    raise FilmError("no driver for graphics (EGL or OSMesa) renders here")
+            refusals.append(f"{driver}: {refusal}")
+    said = "; ".join(refusals)
+    raise FilmError(f"no driver for graphics (EGL or OSMesa) renders here ({said})")
 
 
-def _rendered_by(driver: str, folder: Path) -> bool:
-    """Whether a driver has rendered the film of a folder."""
+def _refusal_of(driver: str, folder: Path) -> str:
+    """Render the film of a folder by a driver; why that failed, empty if it did not."""
     command = [sys.executable, "-m", rendering.__name__, str(folder)]
     environment = {**os.environ, "MUJOCO_GL": driver}
     try:
         ended = subprocess.run(
-            command, env=environment, capture_output=True, timeout=_RENDERED_S, check=False
+            command,
+            env=environment,
+            capture_output=True,
+            timeout=_RENDERED_S,
+            check=False,
+            text=True,
+            errors="replace",
         )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return ended.returncode == 0
+    except subprocess.TimeoutExpired:
+        return f"not done within {_RENDERED_S:g} s"
+    except OSError as error:
+        return str(error)
+    if ended.returncode == 0:
+        return ""
+    lines = ended.stderr.split("\n")
+    last_lines = [line.strip() for line in lines if line.strip()]
+    return last_lines[-1] if last_lines else f"it ended with {ended.returncode}"
 
 
 def _rgb(colour: str) -> list[float]:

@@ -25,6 +25,8 @@ _GEOMS = (_CYLINDER, int(mujoco.mjtWrap.mjWRAP_SPHERE))
 _FIXED = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _NOTHING_M = 1e-12
 """Shorter pieces have no direction."""
+_NO_PLANE_M2 = 1e-12
+"""Twice the area of a triangle: a smaller one has no plane."""
 _NOTHING_RAD = 1e-9
 """By less a tendon does not turn around a geom."""
 
@@ -212,19 +214,19 @@ class TendonPaths:
         turns_rad = np.zeros((before.shape[0], before.shape[1] - 2))
         for one, mark in zip(self._geoms, self._marks, strict=True):
             here = (one.tendon, one.element)
-            come = before[here]
-            leave = behind[here]
-            coming = come - behind[one.tendon, one.element - 1]
-            arc = _arc_of(self._model, self._data, one, come, coming)
+            arrival = before[here]
+            departure = behind[here]
+            chord = arrival - behind[one.tendon, one.element - 1]
+            arc = _arc_of(self._model, self._data, one, arrival, chord)
             if arc is None:
                 continue
             turn = self._data.geom_xmat[one.geom].reshape(3, 3)
-            until_rad = arc.angle_rad(come, arc.middle + turn @ mark)
-            whole_rad = arc.angle_rad(come, leave)
+            until_rad = arc.angle_rad(arrival, arc.middle + turn @ mark)
+            whole_rad = arc.angle_rad(arrival, departure)
             if abs(whole_rad) > _NOTHING_RAD:
                 whole_rad %= 2.0 * np.pi
             around_m = arc.radius_m * whole_rad
-            along_m = float((leave - come) @ arc.axis) if one.is_cylinder else 0.0
+            along_m = float((departure - arrival) @ arc.axis) if one.is_cylinder else 0.0
             length_m = float(np.hypot(around_m, along_m))
             until_m = arc.radius_m * until_rad
             if around_m > 0.0:
@@ -283,22 +285,22 @@ class _Arc(NamedTuple):
 
 
 def _arc_of(
-    model: mujoco.MjModel, data: mujoco.MjData, one: _Geom, come: Array, coming: Array
+    model: mujoco.MjModel, data: mujoco.MjData, one: _Geom, arrival: Array, chord: Array
 ) -> _Arc | None:
-    """The arc of a tendon that comes to a geom at a point, with a direction, both (3,).
+    """The arc of a tendon that reaches a geom at a point by a straight chord, m, both (3,).
 
     None where it comes straight at the middle.
     """
     middle = data.geom_xpos[one.geom].copy()
-    about = np.cross(come - middle, coming)
-    length = float(np.linalg.norm(about))
-    if length < _NOTHING_M:
+    normal_m2 = np.cross(arrival - middle, chord)
+    twice_area_m2 = float(np.linalg.norm(normal_m2))
+    if twice_area_m2 < _NO_PLANE_M2:
         return None
     if one.is_cylinder:
         axis = data.geom_xmat[one.geom].reshape(3, 3)[:, 2]
-        axis = axis * (1.0 if about @ axis > 0.0 else -1.0)
+        axis = axis * (1.0 if normal_m2 @ axis > 0.0 else -1.0)
     else:
-        axis = about / length
+        axis = normal_m2 / twice_area_m2
     return _Arc(middle, axis, float(model.geom_size[one.geom, 0]))
 
 

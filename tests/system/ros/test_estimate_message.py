@@ -86,7 +86,7 @@ def compiled(tmp_path_factory):
     """The folder of the package, made from the wheels."""
     pytest.importorskip("rosidl_generator_py", reason="needs the generators of the wheels")
     if shutil.which("gcc") is None:
-        pytest.skip("needs gcc")
+        pytest.skip("no gcc on PATH: apt-get install gcc; the message is compiled with it")
     folder = tmp_path_factory.mktemp("messages")
     command = [sys.executable, PACKAGE / "compile_for_wheels.py", folder]
     subprocess.run(command, check=True, capture_output=True)

@@ -1,6 +1,8 @@
 """A machine that MuJoCo describes, as nodes: it gets known, and says where it is pushed."""
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +12,15 @@ from geometry_msgs.msg import PointStamped, WrenchStamped
 from cablesense_contact.calibration_file import read_calibration
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_msgs_py.messages import ForceState
+from cablesense_online.replay import RebuiltEstimator, RecordedRun
 from cablesense_ros.cli.export import export
 from cablesense_sim.machine.machine import open_machine
 from tests.helpers.ros_graph import force
 
 MACHINES = Path(__file__).parents[3] / "config" / "machines"
 COMMISSIONING = "commissioner: commissioning"
+NUMBERS_BYTES = 48
+"""Force and torque at the end of a serialized wrench."""
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +56,29 @@ def test_a_push_on_a_link_is_found_within_its_interval(graph, nodes):
     # in the middle of where the link is touched, which is its default place
     assert points[-1].point.x == pytest.approx(0.06, abs=0.01)
     push(graph, "link_6", (0.0, 0.0, 0.0))
+
+
+def test_what_was_recorded_is_answered_again(graph, nodes, arm, tmp_path):
+    """In the frames of links; what came before the recording is in the last digits alone."""
+    path = tmp_path / "run.mcap"
+    command = [sys.executable, "-m", "cablesense_ros.cli.app", "record"]
+    recording = subprocess.Popen([*command, "--out", path, "--duration", "5"])
+    graph.until(lambda: graph.load.get_subscription_count() > 1, "the recorder")
+    push(graph, "link_6", (0.0, 8.0, 6.0))
+    graph.until(lambda: recording.poll() is not None, "the end of the recording")
+    push(graph, "link_6", (0.0, 0.0, 0.0))
+    assert recording.returncode == 0
+    run = RecordedRun(path)
+    rebuilt = RebuiltEstimator(run, str(arm))
+    answers = [answer for answer in map(rebuilt.take, run.messages()) if answer is not None]
+    repeated = [answer for answer in answers if answer.stamp_ns in run.answers]
+    assert sum(bool(answer.answer.contact.segment) for answer in repeated) > 10
+    for answer in repeated:
+        recorded = run.answers[answer.stamp_ns]
+        assert answer.wrench[:-NUMBERS_BYTES] == recorded[:-NUMBERS_BYTES]  # stamp and frame
+        numbers = np.frombuffer(answer.wrench[-NUMBERS_BYTES:])
+        recorded_numbers = np.frombuffer(recorded[-NUMBERS_BYTES:])
+        np.testing.assert_allclose(numbers, recorded_numbers, atol=1e-9)
 
 
 @pytest.mark.timeout(300)
