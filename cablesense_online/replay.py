@@ -37,6 +37,7 @@ from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
 from cablesense_recording.recording import RecordingError
+from cablesense_sim.machine.description import is_machine_file
 
 _WRENCH_NUMBERS: Final = struct.Struct("<6d")
 """Force and torque."""
@@ -311,11 +312,16 @@ class RebuiltEstimator:
             return load(self._arm, self._model)
         if self._model:
             return LoadedModel.open(find_model(self._model))
-        path = Path(provenance.model)
-        loaded = LoadedModel.open(path if path.is_file() else find_model(path.stem))
+        recorded_path = Path(provenance.model)
+        path = recorded_path if recorded_path.is_file() else find_model(recorded_path.stem)
+        machine_file = path.with_suffix(".yaml")  # beside its model, as the estimator found it
+        if is_machine_file(machine_file):
+            loaded = load(str(machine_file), str(path))
+        else:
+            loaded = LoadedModel.open(path)
         if loaded.sha256 != provenance.sha256:
             raise RecordingError(
-                f"the recording is of a model {path.name} with SHA-256 "
+                f"the recording is of a model {recorded_path.name} with SHA-256 "
                 f"{provenance.sha256[:12]}…, and {loaded.path} is another; name it with --model"
             )
         return loaded
