@@ -93,7 +93,7 @@ class Calibration:
     unloaded: tuple[Unloaded, ...] = ()
     chi2: float = 0.0
     compared: int = 0
-    made_from: str = "the tolerances of the arm file"
+    made_from: str = "the tolerances of its file"
 
     @property
     def misfit_probability(self) -> float:

@@ -324,7 +324,7 @@ def _calibration_status(
         return Status(
             "tare",
             Level.WARN,
-            "the unloaded readings do not fit the tolerances of the arm file: it is not as "
+            "the unloaded readings do not fit the tolerances of its file: it is not as "
             "described, or was touched; enlarge its tolerances, or diagnose it",
             values,
         )
