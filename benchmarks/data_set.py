@@ -66,8 +66,8 @@ def main() -> None:
     if options.baseline:
         groups = options.groups.split(",")
         scores = {group: baseline(options.out, group, options.workers) for group in groups}
-        made = {"arm": ARM, "seed": options.seed, "count": options.count}
-        harness.publish(RESULT, {**made, "groups": scores}, options)
+        origin = {"arm": ARM, "seed": options.seed, "count": options.count}
+        harness.publish(RESULT, {**origin, "groups": scores}, options)
         write_card(options.out, options.seed)
     else:
         make(options)
@@ -86,7 +86,7 @@ def make(options: argparse.Namespace) -> None:
         workmanship = Workmanship() if group == "built" else None
         answers_file = out / "answers" / f"{group}.csv"
         nominal = read_nominal(find_arm(ARM))
-        made = record_cases(
+        recorded_cases = record_cases(
             out / group,
             answers_file,
             nominal,
@@ -96,7 +96,7 @@ def make(options: argparse.Namespace) -> None:
             options.workers,
             workmanship=workmanship,
         )
-        list(track(made, f"Recording {group}", total=len(kinds)))
+        list(track(recorded_cases, f"Recording {group}", total=len(kinds)))
         known = open_arm(ARM) if group == "built" else blind_sets.narrow_arm(ARM)
         write_arm(out / group / ARM_FILE, known, "The nominal arm, with its maker's tolerances.")
     write_card(out, options.seed)

@@ -365,8 +365,8 @@ class Commissioning:
         self._go_to(self._start_rad, Stage.RETURNING, now_ns)
 
     def _go_to(self, target_rad: Array, stage: Stage, now_ns: int) -> None:
-        here = JointMotion.at_rest(self._motion.target_rad, self._speed)
-        self._motion = here.towards(target_rad)
+        at_target = JointMotion.at_rest(self._motion.target_rad, self._speed)
+        self._motion = at_target.towards(target_rad)
         self._moved_ns = now_ns
         self._due_rad = target_rad
         self.stage = stage

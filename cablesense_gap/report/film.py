@@ -221,8 +221,8 @@ def rendered_film(model: mujoco.MjModel, clip: Clip) -> tuple[bytes, bytes]:
                 animation = (folder / rendering.ANIMATION).read_bytes()
                 return animation, (folder / rendering.POSTER).read_bytes()
             refusals.append(f"{driver}: {refusal}")
-    said = "; ".join(refusals)
-    raise FilmError(f"no driver for graphics (EGL or OSMesa) renders here ({said})")
+    reasons = "; ".join(refusals)
+    raise FilmError(f"no driver for graphics (EGL or OSMesa) renders here ({reasons})")
 
 
 def _refusal_of(driver: str, folder: Path) -> str:

@@ -272,7 +272,7 @@ class LiveMachine:
             moment = self._moment(now_s) if state in IN_CONTACT else None
             bounds = self._bounds(now_s) if state in _BOUNDED else None
             located = state in IN_CONTACT and self._fresh(topics.CONTACT_REGION, now_s)
-            said = headline(state, estimated, bounds, moment, self.shown.words)
+            sentence = headline(state, estimated, bounds, moment, self.shown.words)
             return Snapshot(
                 time_s=self._came_s.get(topics.CABLE_TENSIONS, now_s),
                 pose=self._pose,
@@ -283,7 +283,7 @@ class LiveMachine:
                 estimated=estimated,
                 bounds=bounds,
                 probabilities=self._probabilities if state.known else None,
-                status=self._status(state, said, now_s),
+                status=self._status(state, sentence, now_s),
                 moment=moment,
                 region=self._region if located else (),
                 machine_known=self._known(now_s),
@@ -357,8 +357,8 @@ class LiveMachine:
         angles = (_angle_deg(low), _angle_deg(high)) if low.any() else None
         return ForceBounds(_norm(low[1:]), _norm(high[1:]), angles)
 
-    def _status(self, state: ForceState, said: str, now_s: float) -> ShownStatus:
-        """The headline `said`, with the warnings of estimator and commissioner."""
+    def _status(self, state: ForceState, sentence: str, now_s: float) -> ShownStatus:
+        """The headline `sentence`, with the warnings of estimator and commissioner."""
         status = self._waiting(now_s)
         if status is None:
             present = {
@@ -378,7 +378,7 @@ class LiveMachine:
             notes = tuple(latest.sentence for latest in warned[:_MOST_NOTES])
             grey = state in _NOTHING_ESTIMATED
             level = Level.STALE if grey else max([state.level, *doubts])
-            status = ShownStatus(level, said, notes)
+            status = ShownStatus(level, sentence, notes)
         if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
             note = f"{topics.CABLE_TENSIONS} has two publishers; those of one are shown"
             status = ShownStatus(Level.ERROR, status.headline, (note, *status.notes))

@@ -162,21 +162,21 @@ class QuasiStaticMachine:
 
     def _rest(self, unstretched_m: Array, forces: Sequence[LinkForce]) -> _State:
         """The next rest, by Newton's steps, cut where they lead over ends of sticking."""
-        here = self._state(self._pose, unstretched_m, forces)
+        state = self._state(self._pose, unstretched_m, forces)
         for number in range(_MOST_STEPS):
             if number % _AGAIN == 0:
-                constant = self._statics.load_slope(here.pose, here.tensions_n[:, 0])
-            step = np.linalg.solve(_stiffened(-constant - here.elastic_slope), here.residual)
+                constant = self._statics.load_slope(state.pose, state.tensions_n[:, 0])
+            step = np.linalg.solve(_stiffened(-constant - state.elastic_slope), state.residual)
             length = float(np.abs(step).max())
             if length < _REST:
-                return here
-            driven = float(step @ here.residual)
+                return state
+            driven = float(step @ state.residual)
             share = min(1.0, _LONGEST / length)
-            there = self._state(here.pose + share * step, unstretched_m, forces)
-            while share > _SMALLEST_SHARE and float(step @ there.residual) < -_CUT * driven:
+            next_state = self._state(state.pose + share * step, unstretched_m, forces)
+            while share > _SMALLEST_SHARE and float(step @ next_state.residual) < -_CUT * driven:
                 share *= _CUT
-                there = self._state(here.pose + share * step, unstretched_m, forces)
-            here = there
+                next_state = self._state(state.pose + share * step, unstretched_m, forces)
+            state = next_state
         raise MachineError(
             f"{self._simulated.machine.name}: finds no rest with friction; lower the forces or "
             "the coefficient"

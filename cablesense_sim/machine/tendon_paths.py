@@ -161,13 +161,15 @@ class TendonPaths:
         behind = before.copy()
         wrapped = self._wrapped()
         for one in self._geoms:
-            here = (one.tendon, one.element)
-            if here in wrapped:
-                before[here], behind[here] = wrapped[here]
+            geom_index = (one.tendon, one.element)
+            if geom_index in wrapped:
+                before[geom_index], behind[geom_index] = wrapped[geom_index]
                 continue
             last = behind[one.tendon, one.element - 1]
             following = before[one.tendon, one.element + 1]
-            before[here] = behind[here] = self._nearest(one, last, following)
+            nearest = self._nearest(one, last, following)
+            before[geom_index] = nearest
+            behind[geom_index] = nearest
         return before, behind
 
     def _nearest(self, one: _Geom, start: Array, end: Array) -> Array:
@@ -213,9 +215,9 @@ class TendonPaths:
         arcs_m = np.zeros((before.shape[0], before.shape[1] - 1))
         turns_rad = np.zeros((before.shape[0], before.shape[1] - 2))
         for one, mark in zip(self._geoms, self._marks, strict=True):
-            here = (one.tendon, one.element)
-            arrival = before[here]
-            departure = behind[here]
+            geom_index = (one.tendon, one.element)
+            arrival = before[geom_index]
+            departure = behind[geom_index]
             chord = arrival - behind[one.tendon, one.element - 1]
             arc = _arc_of(self._model, self._data, one, arrival, chord)
             if arc is None:
@@ -243,9 +245,9 @@ class TendonPaths:
         before, behind = self._points()
         marks = np.zeros((len(self._geoms), 3))
         for row, one in enumerate(self._geoms):
-            here = (one.tendon, one.element)
+            geom_index = (one.tendon, one.element)
             turn = self._data.geom_xmat[one.geom].reshape(3, 3)
-            halfway = 0.5 * (before[here] + behind[here])
+            halfway = 0.5 * (before[geom_index] + behind[geom_index])
             marks[row] = turn.T @ (halfway - self._data.geom_xpos[one.geom])
         return marks
 

@@ -16,8 +16,8 @@ with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16) as ren
 @cache
 def can_draw() -> bool:
     """Whether the driver that `MUJOCO_GL` names renders an empty scene."""
-    asked = subprocess.run([sys.executable, "-c", DRAWS], capture_output=True, check=False)
-    return asked.returncode == 0
+    probe = subprocess.run([sys.executable, "-c", DRAWS], capture_output=True, check=False)
+    return probe.returncode == 0
 
 
 def need_renderer() -> None:
