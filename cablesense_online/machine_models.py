@@ -37,6 +37,11 @@ class LoadedMachine(Loaded):
         """The law in it."""
         return self._law
 
+    @property
+    def is_movable(self) -> bool:
+        """See `Loaded`."""
+        return not self._felt.source.is_measured
+
     def movable(self) -> MovableMachine:
         """See `Loaded`."""
         return MovableMachine(self._felt)

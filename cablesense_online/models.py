@@ -81,12 +81,17 @@ class Loaded(ABC):
     def law(self) -> Law | None:
         """The law in it; None of a network."""
 
+    @property
+    @abstractmethod
+    def is_movable(self) -> bool:
+        """Whether a commissioning can move it: it has a law, and something here commands it."""
+
     @abstractmethod
     def movable(self) -> Movable:
         """The machine as a commissioning moves it.
 
         Raises:
-            CableSenseError: it has no law, or nothing here commands it.
+            CableSenseError: it is not (`is_movable`).
         """
 
     @property
@@ -144,6 +149,11 @@ class LoadedModel(Loaded):
     def law(self) -> LawModel | None:
         """The law in it; None of a network."""
         return self.model if isinstance(self.model, LawModel) else None
+
+    @property
+    def is_movable(self) -> bool:
+        """See `Loaded`."""
+        return self.law is not None
 
     def movable(self) -> Movable:
         """See `Loaded`."""

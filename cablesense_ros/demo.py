@@ -85,7 +85,8 @@ class DemoOptions:
 
     The arm has errors within its file's tolerances, by `built_seed`, or `AS_FILE` none. It is
     commissioned before it is pushed, unless it breathes all the time, has a network's model, or is
-    a machine that MuJoCo describes. `arm` may be the path of such a machine's file.
+    a machine whose joints are measured: nothing here commands those. `arm` may be the path of a
+    machine's file.
     """
 
     arm: str = DEMO_ARM
@@ -252,7 +253,7 @@ def _checked(options: DemoOptions) -> tuple[DemoOptions, Loaded]:
     from cablesense_online.loading import load
 
     loaded = load(options.arm, options.model)
-    if options.breathe or loaded.law is None or is_machine_file(options.arm):
+    if options.breathe or not loaded.is_movable:
         options = replace(options, commission=False)
     try:
         options.out.mkdir(parents=True, exist_ok=True)

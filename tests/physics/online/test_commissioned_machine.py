@@ -10,6 +10,7 @@ from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_online.chosen_poses import chosen_poses
 from cablesense_online.commissioning import Commissioning, CommissioningSettings, Stage
+from cablesense_online.machine_models import LoadedMachine
 from cablesense_online.movable import taut
 from cablesense_online.movable_machine import MovableMachine
 from cablesense_sim.machine.description import MachineError
@@ -129,5 +130,13 @@ def test_joints_stay_within_their_ranges():
 
 
 def test_a_machine_of_measured_joints_is_not_moved():
+    measured = example_machine("six_axis")
+    loaded = LoadedMachine(measured, MachineLaw(measured, TorchStater(measured)), "six_axis.onnx")
+    assert not loaded.is_movable
     with pytest.raises(MachineError, match="cablesense calibrate"):
-        MovableMachine(FeltModel(example_machine("six_axis")))
+        loaded.movable()
+
+
+def test_a_machine_of_commanded_joints_is_moved(finger):
+    _, law, _ = finger
+    assert LoadedMachine(law.machine, law, "finger.onnx").is_movable

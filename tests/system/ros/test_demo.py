@@ -37,6 +37,7 @@ from cablesense_ros.demo_pushes import (
     summary,
 )
 from cablesense_sim.arm import open_arm
+from tests.helpers.example_machines import MACHINES
 
 SHOWN = ShownArm(open_arm("cdsm"))
 REACH_M = np.tile([0.02, 0.13], (4, 1))
@@ -74,6 +75,15 @@ def test_slow_sensors_are_read_more_often_and_fast_ones_at_their_rate(tmp_path):
     )
     assert "rate_hz:=50.0" in slow
     assert not any(word.startswith("rate_hz") for word in fast)
+
+
+def test_a_machine_of_commanded_joints_is_commissioned_at_a_rate_that_shows(tmp_path):
+    commands = node_commands(
+        DemoOptions(arm=str(MACHINES / "finger.yaml"), out=tmp_path), live=True
+    )
+    assert "commission_at_start:=true" in commands["page"]
+    assert "rate_hz:=50.0" in commands["sim"]
+    assert list(commands) == ["sim", "estimator", "commissioner", "page"]
 
 
 def test_without_a_commissioning_nobody_asks_for_one(tmp_path):
