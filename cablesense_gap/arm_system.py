@@ -136,6 +136,10 @@ class ArmSystem(ArmSimulator, System):
         """The recording's number of a trial; a long one has several parts."""
         return int(self.recording.trial[self.trial == part][0])
 
+    def channel_groupings(self) -> Sequence[NDArray[np.int64]]:
+        """Each cable by itself, and the cables that end on a segment."""
+        return (np.arange(self.arm.cable_count), mechanism_of(self.arm).cable_segment - 1)
+
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap in each cable."""
         sizes_n = [np.sqrt((each**2).mean(0)) for each in (before, after)]

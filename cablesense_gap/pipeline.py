@@ -25,7 +25,6 @@ from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
     near_none,
-    posterior,
     rivals_of,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
@@ -38,8 +37,8 @@ from cablesense_gap.explained import (
     significant_values,
     trades,
 )
+from cablesense_gap.explanations import Beside, explanations
 from cablesense_gap.kept_simulations import KeptSimulations
-from cablesense_gap.partial_answer import PartialAnswer, named_that_removes, partial_answer
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
@@ -145,38 +144,33 @@ def diagnose_system(
         usual = reference.expected(system, problem)
         problem = problem_since(problem, usual)
     hypotheses = system.completed(problem, search(problem, progress, workers))
-    answer = partial(partial_answer, system, calibration=calibration, progress=progress)
-    part = None
+    weighed = partial(explanations, system, calibration=calibration, progress=progress)
+    explained_by = weighed(problem, hypotheses)
     error = None if reference is not None else system.model_error(problem, hypotheses)
     if error is not None:
-        everything = posterior(hypotheses, problem.floor, calibration)
-        part = answer(problem, everything)
-        if part is not None and part.explains_the_rest(calibration):
+        beside = explained_by.beside
+        if beside is not None and beside.nothing_elsewhere(calibration):
             error = None
-        else:
-            part = None
     if error is not None:
         usual = expected_of_inexact_model(system, problem, error, hypotheses)
         problem = problem_since(problem, usual)
         hypotheses = system.completed(problem, search(problem, progress, workers))
-    everything = posterior(hypotheses, problem.floor, calibration)
-    ranked = named_that_removes(problem, everything, calibration)
+        explained_by = weighed(problem, hypotheses)
+    ranked = list(explained_by.ranked)
+    beside = explained_by.beside
     coverage = usual.coverage
     cannot_tell = coverage is not None and _cannot_tell(coverage, ranked)
     changed: tuple[str, ...] = ()
     if cannot_tell:
         changed = _changed_where_covered(ranked[0])
         ranked = sorted(ranked, key=lambda each: each.effects != (NONE,))
-        part = None
-    elif part is None and ranked[0].effects == UNKNOWN:
-        part = answer(problem, everything)
+        beside = None
     # the readings in which nothing unlisted acts, and the hypotheses that were fitted to these
     of_effects = problem
     fitted_to_these = ranked
-    if part is not None:
-        of_effects = part.problem
-        fitted_to_these = list(part.beside)
-        ranked = list(part.ranked)
+    if beside is not None:
+        of_effects = beside.problem
+        fitted_to_these = list(beside.ranked)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
     used = problem.used
@@ -196,7 +190,7 @@ def diagnose_system(
             one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
             question = f"how much is {one} and how much {other}"
             experiment = system.next_experiment([best.values, traded[0].elsewhere], question)
-        elif part is not None:
+        elif beside is not None:
             described = system.unlisted(problem, problem.readings - best.held_out)
             reasons = (*reasons, *described.reasons)
             experiment = "" if rivals else described.experiment
@@ -216,7 +210,7 @@ def diagnose_system(
         reasons = (comparison, *described.reasons)
         experiment = described.experiment
         held_out = without_effects.held_out + described.correction
-    predicted = held_out if part is None or fitted is None else fitted.held_out
+    predicted = held_out if beside is None or fitted is None else fitted.held_out
     gap = _gap_of(of_effects, predicted, fitted)
     nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
     measured = [system.readings - each for each in (nominal, held_out)]
@@ -259,7 +253,7 @@ def diagnose_system(
         traded=tuple(trade.traded for trade in traded),
         forms=system.forms(problem, best) if best else {},
         tolerances_n=rest.tolerances,
-        unlisted=_unlisted(system, problem, ranked, part, channels),
+        unlisted=_unlisted(system, problem, ranked, explained_by.unlisted, beside, channels),
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
         gap=gap,
@@ -297,22 +291,22 @@ def _unlisted(
     system: System,
     problem: Problem,
     ranked: Sequence[Ranked],
-    part: PartialAnswer | None,
+    probability: float,
+    beside: Beside | None,
     channels: Mapping[str, ChannelGap],
 ) -> UnlistedBeside | None:
-    """What acts beside the named effects; none where no effect is named."""
+    """What acts beside the named effects; None where no effect is named."""
     explained = ranked[0].hypothesis
     if explained is None or not explained.effects:
         return None
     acting = acting_channels(channels)
-    probability = sum(r.probability for r in ranked if r.remainder or r.effects == UNKNOWN)
-    if part is None:
+    if beside is None:
         if not acting:
             return None
         in_one = max(gap.unlisted or 0.0 for gap in channels.values())
         return UnlistedBeside(probability=max(probability, in_one), channels=acting)
-    acts = part.extent.readings(problem)
-    trials = {system.trial_number(int(number)) for number in part.extent.trials.nonzero()[0]}
+    acts = beside.extent.readings(problem)
+    trials = {system.trial_number(int(number)) for number in beside.extent.trials.nonzero()[0]}
     residuals = (problem.readings - each for each in (problem.nominal, explained.held_out))
     before_n, after_n = (float(np.sqrt((each[acts] ** 2).mean())) for each in residuals)
     return UnlistedBeside(

@@ -181,9 +181,12 @@ class System(ABC):
         """Reasons, as sentences, for which a hypothesis with these values cannot be sure."""
         return ()
 
-    def channel_groups(self) -> NDArray[np.int64]:
-        """(C,) 0 to G - 1: the channels of a group, as a joint, have their causes together."""
-        return np.arange(self.readings.shape[1])
+    def channel_groupings(self) -> Sequence[NDArray[np.int64]]:
+        """Which channels may have a cause together, in one or several ways.
+
+        Each is (C,) 0 to G - 1, the group of each channel.
+        """
+        return (np.arange(self.readings.shape[1]),)
 
     def trial_number(self, part: int) -> int:
         """The recording's number of a trial, of which `trial` has the part."""

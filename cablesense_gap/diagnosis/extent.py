@@ -1,9 +1,10 @@
 """The extent of an unlisted remainder, and the problem without the readings in which it acts.
 
 Something that no list has acts in some channels, or in some trials, beside effects of the list. In
-the other readings the listed effects explain all that there is, so they are diagnosed as any
-recording is. Channels or trials are given to the remainder one after the other: always those in
-which the best listed explanation of the others leaves most.
+the other readings the listed effects explain all that there is, so they are fitted to these.
+Channels or trials are given to the remainder one after the other: always those in which the best
+listed explanation of the others leaves most. Channels come one by one, and with those that share a
+cause, as the cables that end on a segment.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Extent:
     Attributes:
         channels: (C,) in which it acts all the time.
         trials: (T,) in which it acts in all channels.
-        choices: the number of extents of the same size.
+        choices: how many extents are possible, if each number of channels, of groups of them and
+            of trials is as probable as another, and all extents of this number are.
     """
 
     channels: NDArray[np.bool_]
@@ -152,12 +154,12 @@ def over_all_readings(problem: Problem, extent: Extent, fitted: Hypothesis) -> H
     )
 
 
-def screened_extents(problem: Problem, groups: NDArray[np.int64]) -> Iterator[Screened]:
+def screened_extents(problem: Problem, groupings: Sequence[NDArray[np.int64]]) -> list[Screened]:
     """Extents of growing size with what listed effects leave beside them.
 
-    `groups` (C,) says which channels belong together, as those of one joint do. Effects that
-    depend on history are left out: they are expensive to simulate. Of many rows some are looked
-    at, at equal distances.
+    Each of the groupings (C,) says which channels belong together. Effects that depend on history
+    are left out: they are expensive to simulate. Of many rows some are looked at, at equal
+    distances.
     """
     problem = _with_fewer_rows(problem)
     without_effects = refine(problem, {}, [[]])
@@ -166,8 +168,14 @@ def screened_extents(problem: Problem, groups: NDArray[np.int64]) -> Iterator[Sc
     columns = list(
         chain.from_iterable(linear_effects(problem, c, without_effects) for c in candidates)
     )
-    yield from _by_channels(problem, columns, groups)
-    yield from _by_trials(problem, columns)
+    screened = list(_by_trials(problem, columns))
+    for groups in groupings:
+        screened.extend(_by_channels(problem, columns, groups))
+    kinds = len(screened)
+    return [
+        replace(each, extent=replace(each.extent, choices=kinds * each.extent.choices))
+        for each in screened
+    ]
 
 
 def _with_fewer_rows(problem: Problem) -> Problem:

@@ -24,8 +24,8 @@ manufacturing allows.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
@@ -44,14 +44,6 @@ EQUAL = 0.9
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
 
-_SEVERAL_LEFT = 0.4
-"""Share of the gap that three or more effects may leave to be named although an unlisted effect is
-more probable."""
-_AGAINST_MOTION_LEFT = 0.7
-"""The same of effects of which one turns round with the motion: no static effect makes loading and
-unloading differ."""
-_NEEDED_COST_RATIO = 1.6
-"""Leaving one of these effects out must make the cost larger by this factor."""
 _RIDGE = 1e-6
 """Of the diagonal of a Gram matrix: keeps columns that are alike from an exact zero."""
 
@@ -112,51 +104,72 @@ def posterior(
     return _in_order(ranked)
 
 
-def posterior_beside_unlisted(
-    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
-) -> list[Ranked]:
-    """Probabilities of the listed effects given that an unlisted one acts in all readings.
+def log_weights_beside_unlisted(
+    hypotheses: Sequence[Hypothesis],
+    unlisted_rmse: Array,
+    share: float,
+    log_choices: float,
+    floor: float,
+    calibration: ProbabilityCalibration,
+) -> Array:
+    """(H,) as `log_weights`, of each hypothesis with something unlisted beside it.
 
-    The unlisted effect alone takes the place of the hypothesis without effects. What the listed
-    ones leave is the unlisted one's, and is weighed as if the best listed one imitated it.
+    The unlisted acts in a share s of the readings, chosen among C others of its kind:
+
+        log w = -(1 - s) κ log(r / least) - s κ log(√((φ u)² + (γ σ₀)²) / least)
+                - π(k) - ν n - τ (max(s / m, 1) - 1) - p - π_unknown - log C
+
+    r is what is left of the other readings, to which the hypothesis was fitted, and u what it
+    leaves of these (`unlisted_rmse` (H,)). Each kind of reading has its own power, as a likelihood
+    with an unknown variance of each has. Without effects κ₀ takes the place of κ outside.
     """
-    weights = _log_weights_beside_unlisted(hypotheses, floor, calibration)
-    shares = np.exp(weights - weights.max())
-    shares /= shares.sum()
-    ranked = [
-        Ranked(h.effects, float(share), h, remainder=True)
-        if h.effects
-        else Ranked(UNKNOWN, float(share), None)
-        for h, share in zip(hypotheses, shares, strict=True)
-    ]
-    return _in_order(ranked)
+    nuisance_count = max(hypotheses[0].nuisance_count, 1)
+    weights = []
+    for h, unlisted in zip(hypotheses, unlisted_rmse, strict=True):
+        off = max(h.nuisance_chi2 / nuisance_count, 1.0) - 1.0
+        # tolerances alone explain nothing if the unlisted acts everywhere
+        tolerances = calibration.tolerance_chi2 * off if h.effects or share < 1.0 else 0.0
+        weight = log_weight_beside_unlisted(
+            h.held_out_rmse,
+            float(unlisted),
+            share,
+            len(h.effects),
+            h.sizes,
+            log_choices,
+            floor,
+            calibration,
+        )
+        weights.append(weight - h.log_prior_penalty - tolerances)
+    return np.array(weights)
 
 
-def probability_of_unlisted(
-    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+def log_weight_beside_unlisted(
+    outside_rmse: float,
+    unlisted_rmse: float,
+    share: float,
+    effects: int,
+    sizes: int,
+    log_choices: float,
+    floor: float,
+    calibration: ProbabilityCalibration,
 ) -> float:
-    """The probability that something unlisted acts, alone or beside effects of the list."""
-    listed_alone = _log_weights_of(hypotheses, floor, calibration)[:-1]
-    beside = _log_weights_beside_unlisted(hypotheses, floor, calibration)
-    log_odds = np.logaddexp.reduce(beside) - np.logaddexp.reduce(listed_alone)
-    return float(1.0 / (1.0 + np.exp(-log_odds)))
+    """One of `log_weights_beside_unlisted`, with tolerances no farther off than usual."""
+    c = calibration
+    least = _beyond_floor(0.0, floor, c)
+    outside = _beyond_floor(outside_rmse, floor, c)
+    unlisted = _stand_in(_beyond_floor(unlisted_rmse, floor, c), floor, c)
+    power = c.power if effects else c.none
+    of_effects = c.one + (effects - 1) * (c.two - c.one) + c.size * sizes if effects else 0.0
+    explained = (1.0 - share) * power * np.log(outside / least)
+    unexplained = share * c.power * np.log(unlisted / least)
+    return float(-explained - unexplained - of_effects - c.unknown - log_choices)
 
 
-def _log_weights_beside_unlisted(
+def log_weights_alone(
     hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
 ) -> Array:
-    """(H,) as `log_weights`, of each hypothesis with an unlisted effect beside it.
-
-        log w = -κ log √((φ r)² + (γ σ₀)²) - π(k) - ν n - τ (s / m - 1) - p - π_unknown
-
-    Without effects it is the unlisted effect alone.
-    """
-    c = calibration
-    nuisance_count = max(hypotheses[0].nuisance_count, 1)
-    least = _beyond_floor(0.0, floor, c)
-    left = [_stand_in(_beyond_floor(h.held_out_rmse, floor, c), floor, c) for h in hypotheses]
-    penalties = [_penalty(h, nuisance_count, c) if h.effects else 0.0 for h in hypotheses]
-    return -c.power * np.log(np.array(left) / least) - np.array(penalties) - c.unknown
+    """(H,) as `log_weights`, of each hypothesis without anything unlisted."""
+    return _log_weights_of(hypotheses, floor, calibration)[:-1]
 
 
 def probability_unlisted(
@@ -181,13 +194,6 @@ def _beyond_floor(held_out_rmse: float, floor: float, c: ProbabilityCalibration)
 def _stand_in(left: float, floor: float, c: ProbabilityCalibration) -> float:
     """What the best listed effects leave of an unlisted one that makes a gap of `left`."""
     return float(np.hypot(c.share * left, c.stand_in * floor))
-
-
-def _penalty(h: Hypothesis, nuisance_count: float, c: ProbabilityCalibration) -> float:
-    """What its effects, sizes and tolerances cost a hypothesis, natural logarithm."""
-    off = max(h.nuisance_chi2 / nuisance_count, 1.0) - 1.0
-    effects = c.one + (len(h.effects) - 1) * (c.two - c.one)
-    return effects + c.size * h.sizes + h.log_prior_penalty + c.tolerance_chi2 * off
 
 
 def _log_weights_of(
@@ -218,42 +224,19 @@ def _in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
     return sorted(ranked, key=rank)
 
 
-def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
+def named(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
     """The hypotheses, first the one that the verdict names.
 
-    This is the most probable one. An unlisted effect must be more probable than all hypotheses
-    together that the recording cannot distinguish from the best. It also yields to an
-    hypothesis that explains more than it leaves: one with several effects, or with an effect that
-    depends on history or on the direction of motion. The unexplained part is then stated with the
-    verdict.
+    This is the most probable one. An unlisted effect alone must be more probable than all
+    hypotheses together that the recording cannot distinguish from the best.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
     together = imitating_best(problem, ranked)
-    if sum(each.probability for each in together) > first.probability:
-        return [*together[:1], *(each for each in ranked if each is not together[0])]
-    fitted = {frozenset(h.effects): h for r in ranked if (h := r.hypothesis)}
-    supported = [
-        (problem.cost_of(each.hypothesis), k, ratios)
-        for k, each in enumerate(ranked)
-        if each.hypothesis and (ratios := _support(problem, fitted, each.hypothesis))
-    ]
-    if not supported:
+    if sum(each.probability for each in together) <= first.probability:
         return list(ranked)
-    _, k, ratios = min(supported)
-    odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
-    exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
-    chosen = replace(ranked[k], probability=ranked[k].probability + exact)
-    rest = [*ranked[1:k], *ranked[k + 1 :]]
-    return [chosen, *rest, replace(first, probability=first.probability - exact)]
-
-
-def without(ranked: Sequence[Ranked], excluded: Hypothesis) -> list[Ranked]:
-    """The hypotheses without one of them, whose probability the others share."""
-    others = [each for each in ranked if each.hypothesis is not excluded]
-    total = sum(each.probability for each in others)
-    return [replace(each, probability=each.probability / total) for each in others]
+    return [together[0], *(each for each in ranked if each is not together[0])]
 
 
 def imitating_best(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
@@ -266,37 +249,6 @@ def imitating_best(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
         or min(imitated_share(problem, h, fitted[0][1]), imitated_share(problem, fitted[0][1], h))
         >= PARALLEL
     ]
-
-
-def _support(
-    problem: Problem, fitted: Mapping[frozenset[str], Hypothesis], whole: Hypothesis
-) -> dict[str, float]:
-    """The factor by which the cost grows without each of the effects of a hypothesis.
-
-    Empty unless it explains more than it leaves and needs each of its effects.
-    """
-    candidates = problem.simulator.candidates
-    past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
-    gap, rest = (
-        noise_corrected_rms(h.held_out_rmse**2, problem.floor)
-        for h in (fitted[frozenset()], whole)
-    )
-    whole_effects = frozenset(whole.effects)
-    if whole_effects & past:
-        enough = rest <= _AGAINST_MOTION_LEFT * gap
-    else:
-        enough = len(whole_effects) > 2 and rest <= _SEVERAL_LEFT * gap
-    costs = {effects: problem.cost_of(h) for effects, h in fitted.items()}
-    ratios = {
-        effect: min(cost for effects, cost in costs.items() if effects <= whole_effects - {effect})
-        / costs[whole_effects]
-        for effect in whole.effects
-    }
-    needed = (
-        ratio >= (1.0 / _AGAINST_MOTION_LEFT if effect in past else _NEEDED_COST_RATIO)
-        for effect, ratio in ratios.items()
-    )
-    return ratios if enough and all(needed) else {}
 
 
 def log_weights(

@@ -304,10 +304,10 @@ class RobotSystem(System):
         inertia = self.motion.inertia
         return tuple(doubts.of_verdict(self.robot, change, inertia, ranges, values, gap))
 
-    def channel_groups(self) -> NDArray[np.int64]:
+    def channel_groupings(self) -> Sequence[NDArray[np.int64]]:
         """Position and speed of a joint have their causes together."""
         joints = [self.robot.joints.index(name.split(".")[-1]) for name in self.comparison.names]
-        return np.unique(joints, return_inverse=True)[1].astype(np.int64)
+        return (np.unique(joints, return_inverse=True)[1].astype(np.int64),)
 
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""

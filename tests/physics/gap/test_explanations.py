@@ -1,4 +1,4 @@
-"""The certain part of an explanation, beside something that no list has."""
+"""Explanations by listed effects, alone or beside something that no list has."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from cablesense_gap.diagnosis.extent import Extent, over_all_readings, without_extent
 from cablesense_gap.diagnosis.fitting import refit
 from cablesense_gap.diagnosis.probability import (
+    UNKNOWN,
     bundled_calibration,
-    posterior,
-    posterior_beside_unlisted,
-    probability_of_unlisted,
+    log_weights_alone,
+    log_weights_beside_unlisted,
     probability_unlisted,
 )
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.partial_answer import partial_answer
+from cablesense_gap.explanations import explanations
 from tests.helpers.gap_problem import (
     CHANNELS,
     FLOOR,
@@ -39,7 +39,7 @@ LISTED = {amount("gain", "b"): 1.0}
 UNLISTED = 30.0 * FLOOR * np.random.default_rng(11).normal(size=(len(TRIAL), CHANNELS))
 """No signal of the library."""
 MACHINE = SimpleNamespace(
-    channel_groups=lambda: np.arange(CHANNELS), completed=lambda _problem, found: list(found)
+    channel_groupings=lambda: (np.arange(CHANNELS),), completed=lambda _problem, found: list(found)
 )
 
 
@@ -50,8 +50,7 @@ def problem_with(truth, unlisted):
 
 def answered(truth, unlisted):
     problem = problem_with(truth, unlisted)
-    ranked = posterior(search(problem), problem.floor, BUNDLED)
-    return partial_answer(MACHINE, problem, ranked, BUNDLED)
+    return explanations(MACHINE, problem, search(problem), BUNDLED)
 
 
 def in_channel(channel):
@@ -69,20 +68,37 @@ def test_a_listed_effect_is_certain_although_one_channel_has_more(channel):
     assert named.effects == ("gain",)
     assert named.remainder
     assert sum(r.probability for r in answer.ranked if "gain" in r.effects) > 0.8
-    assert answer.extent.channels.tolist() == [c == channel for c in range(CHANNELS)]
+    assert answer.beside.extent.channels.tolist() == [c == channel for c in range(CHANNELS)]
+    assert answer.unlisted > 0.9
     assert named.hypothesis.values[amount("gain", "b")] == pytest.approx(1.0, abs=0.05)
-    assert answer.explains_the_rest(BUNDLED)
+    assert answer.beside.nothing_elsewhere(BUNDLED)
 
 
 def test_a_listed_effect_is_certain_although_one_trial_has_more():
     answer = answered(LISTED, 3.0 * in_trial(4))
     assert answer.ranked[0].effects == ("gain",)
-    assert np.flatnonzero(answer.extent.trials).tolist() == [4]
+    assert np.flatnonzero(answer.beside.extent.trials).tolist() == [4]
 
 
-def test_nothing_is_certain_where_nothing_listed_acts():
+def test_nothing_listed_is_named_where_nothing_listed_acts():
     for unlisted in (in_channel(1), in_trial(4), UNLISTED):
-        assert answered({}, unlisted) is None
+        answer = answered({}, unlisted)
+        assert answer.ranked[0].effects == UNKNOWN
+        assert answer.beside is None
+
+
+def test_a_listed_effect_alone_stands_beside_nothing():
+    answer = answered(LISTED, 0.0)
+    assert answer.ranked[0].effects == ("gain",)
+    assert answer.beside is None
+    assert answer.unlisted < 0.1
+
+
+def test_effects_that_explain_a_few_channels_alone_are_not_sure():
+    """What acts in three of four channels may be imitated in the last one."""
+    elsewhere = UNLISTED * (np.arange(CHANNELS) > 0)
+    answer = answered(LISTED, elsewhere)
+    assert sum(r.probability for r in answer.ranked if "gain" in r.effects) < 0.8
 
 
 def test_probabilities_of_the_whole_add_up_to_one():
@@ -120,17 +136,33 @@ def test_what_is_left_at_the_floor_is_nothing_unlisted_and_many_floors_are():
 
 @given(st.floats(1.0, 50.0), st.lists(st.floats(0.05, 1.0), min_size=1, max_size=3))
 @settings(deadline=None, max_examples=20)
-def test_beside_something_unlisted_the_effects_that_explain_more_are_more_probable(floors, shares):
+def test_beside_something_unlisted_effects_that_leave_less_weigh_more(floors, shares):
     none = hypothesis(left=floors * FLOOR)
     listed = [
         hypothesis(name, left=floors * FLOOR * share)
         for name, share in zip("abc", shares, strict=False)
     ]
-    ranked = posterior_beside_unlisted([none, *listed], FLOOR, BUNDLED)
-    assert sum(r.probability for r in ranked) == pytest.approx(1.0)
-    probability_of = {r.effects: r.probability for r in ranked}
-    ordered = sorted(listed, key=lambda h: -h.held_out_rmse)
-    probabilities = [probability_of[h.effects] for h in ordered]
-    assert probabilities == sorted(probabilities)
-    alone = probability_of_unlisted([none], FLOOR, BUNDLED)
-    assert 0.0 < alone < 1.0
+    left = np.array([h.held_out_rmse for h in [none, *listed]])
+    weights = log_weights_beside_unlisted([none, *listed], left, 1.0, 0.0, FLOOR, BUNDLED)[1:]
+    in_order = np.argsort([-h.held_out_rmse for h in listed])
+    assert (np.diff(weights[in_order]) >= 0.0).all()
+
+
+@given(st.floats(2.0, 50.0), st.floats(0.1, 0.9))
+@settings(deadline=None, max_examples=20)
+def test_an_extent_that_is_like_the_rest_says_no_more_than_all_readings(floors, share):
+    """Without a choice, and with as much left inside as outside, only κ₀ differs."""
+    gain = hypothesis("gain", left=floors * FLOOR)
+    none = hypothesis(left=floors * FLOOR)
+    left = np.full(2, floors * FLOOR)
+
+    def weight(share, log_choices):
+        weights = log_weights_beside_unlisted(
+            [none, gain], left, share, log_choices, FLOOR, BUNDLED
+        )
+        return weights[1]
+
+    alone = log_weights_alone([none, gain], FLOOR, BUNDLED)[1] - BUNDLED.unknown
+    expected = (1.0 - share) * alone + share * weight(1.0, 0.0)
+    assert weight(share, 0.0) == pytest.approx(expected)
+    assert weight(share, 3.0) == pytest.approx(expected - 3.0)

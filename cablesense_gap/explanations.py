@@ -1,0 +1,325 @@
+"""What explains a recording: listed effects, alone or beside something unlisted.
+
+An explanation is a set S of listed effects, and an extent E of the readings in which something
+unlisted acts as well: none of them, all of them, or some channels or trials. Outside E, S explains
+all that there is; in E it takes its share, and the unlisted effect has the rest
+(`probability.log_weights_beside_unlisted`). All explanations are weighed together, so
+
+    P(S) = Σ_E P(S, E)
+
+and an effect is as probable as the sets that have it. docs/decisions.md derives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_gap.diagnosis import fitting
+from cablesense_gap.diagnosis.extent import (
+    Extent,
+    Screened,
+    over_all_readings,
+    screened_extents,
+    without_extent,
+)
+from cablesense_gap.diagnosis.nuisance import final_refinement
+from cablesense_gap.diagnosis.probability import (
+    UNKNOWN,
+    ProbabilityCalibration,
+    Ranked,
+    log_weight_beside_unlisted,
+    log_weights_alone,
+    log_weights_beside_unlisted,
+    named,
+    posterior,
+    probability_unlisted,
+)
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.search import is_redundant
+from cablesense_gap.explained import removes
+from cablesense_gap.system import System
+
+_EXTENTS = 2
+"""Extents outside which effects are fitted, those with the best linear forecasts."""
+_PROPOSED = 6
+"""Additions that are fitted outside an extent: as many as a search starts from."""
+_KNOWN = 3
+"""Hypotheses of all readings that are fitted there again."""
+_STEPS = 3
+"""Gauss-Newton steps of these, which are near their best values already."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Something unlisted that acts beside the named effects.
+
+    Attributes:
+        extent: where it acts.
+        problem: the readings outside the extent; all, if it acts in all.
+        ranked: hypotheses fitted to these, the named one first.
+    """
+
+    extent: Extent
+    problem: Problem
+    ranked: tuple[Ranked, ...]
+
+    def nothing_elsewhere(self, calibration: ProbabilityCalibration) -> bool:
+        """Whether the effects leave nothing in any channel outside the extent."""
+        best = self.ranked[0].hypothesis
+        if self.extent.is_whole or best is None:
+            return False
+        left = (self.problem.readings - best.held_out)[self.problem.used]
+        return all(
+            probability_unlisted(float(rmse), self.problem.floor, calibration) < 0.5
+            for rmse in np.sqrt((left**2).mean(0))
+        )
+
+
+@dataclass(frozen=True)
+class Explanations:
+    """All explanations of a recording, each set of effects once.
+
+    Attributes:
+        ranked: the one that the verdict names first; its hypothesis is of all readings.
+        unlisted: the probability that something unlisted acts, alone or beside effects.
+        beside: what acts beside the named effects; None if they are likelier alone.
+    """
+
+    ranked: tuple[Ranked, ...]
+    unlisted: float
+    beside: Beside | None
+
+
+class _Explanation(NamedTuple):
+    """A set of effects, alone or beside something unlisted.
+
+    Attributes:
+        log_weight: natural logarithm of its probability but for a common constant.
+        fitted: to the readings outside the extent.
+        whole: the same numbers, for all readings.
+        extent: of the unlisted; None without.
+        problem: the readings outside the extent.
+    """
+
+    log_weight: float
+    fitted: Hypothesis
+    whole: Hypothesis
+    extent: Extent | None
+    problem: Problem
+
+    @property
+    def name(self) -> tuple[str, ...]:
+        """That of its set in verdicts."""
+        return self.fitted.effects or (("none",) if self.extent is None else UNKNOWN)
+
+
+def explanations(
+    system: System,
+    problem: Problem,
+    hypotheses: Sequence[Hypothesis],
+    calibration: ProbabilityCalibration,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> Explanations:
+    """The explanations by the hypotheses of a search, the one without effects among them.
+
+    Extents are looked for if the most probable hypothesis leaves more than it would alone.
+    """
+    weighed = [
+        *_alone(problem, hypotheses, calibration),
+        *_everywhere(problem, hypotheses, calibration),
+    ]
+    likeliest = posterior(hypotheses, problem.floor, calibration)[0].hypothesis
+    if likeliest is None or _leaves_more(problem, likeliest, calibration):
+        progress("separating what is unlisted", 0.97)
+        weighed += _in_extents(system, problem, hypotheses, calibration)
+    while True:
+        ranked = named(problem, _merged(weighed))
+        best = _likeliest(weighed, ranked[0].effects)
+        if not best.fitted.effects or removes(best.problem, best.fitted):
+            return _answer(weighed, ranked, best)
+        # one that removes nothing is no explanation: the others share its probability
+        weighed = [each for each in weighed if each is not best]
+
+
+def _leaves_more(
+    problem: Problem, hypothesis: Hypothesis, calibration: ProbabilityCalibration
+) -> bool:
+    return probability_unlisted(hypothesis.held_out_rmse, problem.floor, calibration) >= 0.5
+
+
+def _alone(
+    problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
+) -> list[_Explanation]:
+    """Without anything unlisted."""
+    weights = log_weights_alone(hypotheses, problem.floor, calibration)
+    return [
+        _Explanation(float(weight), h, h, None, problem)
+        for weight, h in zip(weights, hypotheses, strict=True)
+    ]
+
+
+def _everywhere(
+    problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
+) -> list[_Explanation]:
+    """Beside something unlisted that acts in all readings."""
+    extent = Extent.whole(problem)
+    left = np.array([h.held_out_rmse for h in hypotheses])
+    weights = log_weights_beside_unlisted(
+        hypotheses, left, extent.share, extent.log_choices, problem.floor, calibration
+    )
+    return [
+        _Explanation(float(weight), h, h, extent, problem)
+        for weight, h in zip(weights, hypotheses, strict=True)
+    ]
+
+
+def _in_extents(
+    system: System,
+    problem: Problem,
+    hypotheses: Sequence[Hypothesis],
+    calibration: ProbabilityCalibration,
+) -> list[_Explanation]:
+    """Beside something unlisted that acts in some channels or trials."""
+    screened = screened_extents(problem, system.channel_groupings())
+    promising = sorted(screened, key=lambda each: -_forecast(problem, each, calibration))
+    weighed: list[_Explanation] = []
+    for each in promising[:_EXTENTS]:
+        extent = each.extent
+        others = without_extent(problem, extent)
+        fitted = system.completed(others, _hypotheses(others, each, hypotheses))
+        whole = [over_all_readings(problem, extent, h) for h in fitted]
+        acts = extent.readings(problem)
+        left = np.array([_rms((problem.readings - h.held_out)[acts]) for h in whole])
+        weights = log_weights_beside_unlisted(
+            fitted, left, extent.share, extent.log_choices, problem.floor, calibration
+        )
+        weighed.extend(
+            _Explanation(float(weight), one, over_all, extent, others)
+            for weight, one, over_all in zip(weights, fitted, whole, strict=True)
+        )
+    return weighed
+
+
+def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCalibration) -> float:
+    """The largest weight of an explanation in an extent, linear, as if it left all there."""
+    extent = screened.extent
+    nominal_left = _rms((problem.readings - problem.nominal)[extent.readings(problem)])
+
+    def weight(outside_rmse: float, effects: int, sizes: int) -> float:
+        return log_weight_beside_unlisted(
+            outside_rmse,
+            nominal_left,
+            extent.share,
+            effects,
+            sizes,
+            extent.log_choices,
+            problem.floor,
+            calibration,
+        )
+
+    nothing = weight(screened.without_effects.held_out_rmse, 0, 0)
+    return max(
+        nothing,
+        *(
+            weight(float(np.hypot(p.forecast, problem.floor)), len(p.effects), len(p.coefficients))
+            for p in screened.proposals[:_PROPOSED]
+        ),
+        -np.inf,
+    )
+
+
+def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
+    """Each set of effects with its probability, the most probable first."""
+    probabilities = _probabilities(weighed)
+    total: dict[tuple[str, ...], float] = {}
+    for each, probability in zip(weighed, probabilities, strict=True):
+        total[each.name] = total.get(each.name, 0.0) + probability
+    ranked = []
+    for name, probability in total.items():
+        if name == UNKNOWN:
+            ranked.append(Ranked(name, probability, None))
+        else:
+            best = _likeliest(weighed, name)
+            is_beside = best.extent is not None
+            ranked.append(Ranked(name, probability, best.whole, remainder=is_beside))
+    return sorted(ranked, key=lambda each: -each.probability)
+
+
+def _likeliest(weighed: Sequence[_Explanation], name: tuple[str, ...]) -> _Explanation:
+    """The most probable explanation by a set."""
+    return max((each for each in weighed if each.name == name), key=lambda each: each.log_weight)
+
+
+def _probabilities(weighed: Sequence[_Explanation]) -> list[float]:
+    log_weights = np.array([each.log_weight for each in weighed])
+    shares = np.exp(log_weights - log_weights.max())
+    return [float(share) for share in shares / shares.sum()]
+
+
+def _answer(
+    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation
+) -> Explanations:
+    pairs = zip(weighed, _probabilities(weighed), strict=True)
+    unlisted = sum(probability for each, probability in pairs if each.extent is not None)
+    beside = None
+    if best.extent is not None and best.fitted.effects:
+        probability_of = {each.effects: each.probability for each in ranked}
+        there = [each for each in weighed if each.extent is best.extent and each is not best]
+        fitted_there = [
+            Ranked(each.name, probability_of[each.name], each.fitted, remainder=True)
+            for each in (best, *there)
+            if each.fitted.effects
+        ]
+        others = sorted(fitted_there[1:], key=lambda each: -each.probability)
+        beside = Beside(best.extent, best.problem, (fitted_there[0], *others))
+    return Explanations(tuple(ranked), unlisted, beside)
+
+
+def _hypotheses(
+    problem: Problem, screened: Screened, known: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """What explains the readings outside an extent: without effects first, one for each set.
+
+    The best additions by their linear forecasts, those of the `known` hypotheses that leave least
+    there, and the best of all without each of its effects.
+    """
+    best: dict[tuple[str, ...], Hypothesis] = {}
+
+    def keep(fitted: Iterable[Hypothesis | None]) -> None:
+        for each in fitted:
+            if each is None or not each.effects:
+                continue
+            if each.effects not in best or problem.score(each) < problem.score(best[each.effects]):
+                best[each.effects] = each
+
+    keep(chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_PROPOSED]))
+    kept = ~screened.extent.channels
+    left = {
+        k: float(((problem.readings - h.held_out[:, kept])[problem.used] ** 2).mean())
+        for k, h in enumerate(known)
+        if h.effects and h.effects not in best
+    }
+    for k in sorted(left, key=lambda k: left[k])[:_KNOWN]:
+        keep([fitting.refit(problem, known[k].values, _STEPS)])
+    if best:
+        first = min(best.values(), key=problem.score)
+        keep([final_refinement(problem, first)[0]])
+        first = best[first.effects]
+        if len(first.effects) > 1:
+            keep(fitting.without(problem, [effect], first) for effect in first.effects)
+    fitted_hypotheses = list(best.values())
+    worth_it = [
+        each for each in fitted_hypotheses if not is_redundant(problem, each, fitted_hypotheses)
+    ]
+    without_effects = fitting.refine(problem, {}, [[]])
+    assert without_effects is not None
+    return [without_effects, *worth_it]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
