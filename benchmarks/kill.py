@@ -53,7 +53,7 @@ from cablesense_contact.inference.metadata import find_model_of
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command
-from cablesense_sim.arm import open_arm, per_segment
+from cablesense_sim.arm import of_each_segment, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
@@ -153,7 +153,7 @@ class KillTrials(Operator):
         self._wrenches: list[Received] = []
         self._gone_s: list[float] = []
         self._load_since_s = time.monotonic()
-        self._contact_m = per_segment(self.arm.segments.contact_m, self.arm.segment_count)
+        self._contact_m = of_each_segment(self.arm.segments.contact_m, self.arm.segment_count)
         self.create_timer(LOAD_EVERY_S, self.publish_load)
         straight_rad = np.zeros(self.arm.joint_count)
         self.create_timer(COMMAND_EVERY_S, lambda: self.command(straight_rad))

@@ -136,7 +136,7 @@ def _driven_by_torques(robot: Robot, motion: Motion) -> mujoco.MjSpec:
 def _parameters(robot: Robot, motion: Motion, spec: mujoco.MjSpec) -> Any:
     """All that are fitted, at their nominal values."""
     parameters = sysid.ParameterDict()
-    reach_m = 2.0 * robot.reach_m
+    farthest_m = 2.0 * robot.longest_link_m
     model = spec.compile()
     for body in robot.body_ids.tolist():
         inertia = sysid.body_inertia_param(
@@ -145,9 +145,9 @@ def _parameters(robot: Robot, motion: Motion, spec: mujoco.MjSpec) -> Any:
             model.body(body).name,
             sysid.InertiaType.Pseudo,
             mass_bound_mult=_TIMES,
-            ipos_bound_off=np.array([-reach_m, reach_m]),
+            ipos_bound_off=np.array([-farthest_m, farthest_m]),
             stretch_bound_mult=_TIMES,
-            shear_bound_off=np.array([-reach_m, reach_m]),
+            shear_bound_off=np.array([-farthest_m, farthest_m]),
             modifier=partial(_set_inertia, model.body(body).name),
         )
         parameters.add(inertia)

@@ -15,7 +15,7 @@ from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.felt import ChannelLimits, LinksAtPose
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD
 from cablesense_sim import kinematics
-from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.arm import Arm, of_each_segment
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_torques
 from cablesense_sim.mechanism import Mechanism
@@ -47,7 +47,7 @@ class FeltArm:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
         count = arm.segment_count
-        length_m = np.array(per_segment(arm.segments.length_m, count))
+        length_m = np.array(of_each_segment(arm.segments.length_m, count))
         self.name = arm.name
         self.identity = arm.identity
         self.command_names = tuple(arm.joint_names)
@@ -56,7 +56,7 @@ class FeltArm:
         self.link_names = tuple(f"segment_{n + 1}" for n in range(count))
         self.surface_friction = arm.touch.friction
         self.drift_per_hour = arm.tolerances.drift_n_per_hour
-        self.contact_m: Sequence[float] = per_segment(arm.segments.contact_m, count)
+        self.contact_m: Sequence[float] = of_each_segment(arm.segments.contact_m, count)
         self.joint_m: Array = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
         self.middle_m: Array = touched_places(arm).touched_m.mean(axis=1)
         lowest, highest = arm.sensors.range_n or (-np.inf, np.inf)

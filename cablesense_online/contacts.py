@@ -24,7 +24,7 @@ from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_online.motion import Unrest
 from cablesense_online.tare import UnloadedArm
 from cablesense_online.tared_arm import TaredArm, TaredState
-from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.arm import Arm, of_each_segment
 
 _ALONG_KNOWN_N = 1.0
 """An axial force is stated if its standard deviation is below this."""
@@ -264,7 +264,7 @@ class NetworkContacts:
         self._hidden_above_n = hidden_above_n
         self.on_each_segment = isinstance(network, MultiEstimator)
         self._network = network
-        self._contact_m = per_segment(arm.segments.contact_m, arm.segment_count)
+        self._contact_m = of_each_segment(arm.segments.contact_m, arm.segment_count)
 
     def with_threshold(self, contact_threshold: float) -> NetworkContacts:
         """See `ContactFinder`."""

@@ -11,7 +11,7 @@ from cablesense_base import Array
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_msgs_py.messages import Level, Load, read_load
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.placed_links import PlacedLinks, frames_of
+from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_online.simulation import SimulationHealth, SimulationSettings
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.loads import LoadError
@@ -83,7 +83,7 @@ class MachineSimulation:
 
     def frames(self, prefix: str) -> Frames:
         """Those of the model's bodies."""
-        return frames_of(self._felt, prefix)
+        return contact_frames(self._felt, prefix)
 
     def go_to(self, command: Array) -> None:
         """Begin to move to a command (C,)."""

@@ -22,7 +22,7 @@ _LEAST_LATERAL = 1e-3
 """Share of a force across a link, below which its torque says nothing of its place."""
 
 
-def frames_of(machine: FeltMachine, prefix: str) -> Frames:
+def contact_frames(machine: FeltMachine, prefix: str) -> Frames:
     """The frames in which contacts on a machine are stated."""
     names = machine.link_names
     numbered = tuple(f"segment_{number + 1}" for number in range(len(names)))

@@ -32,7 +32,7 @@ from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
 from cablesense_online.models import Loaded, LoadedModel
-from cablesense_online.placed_links import PlacedLinks, frames_of
+from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
@@ -281,7 +281,7 @@ class RebuiltEstimator:
             loaded = self._loaded
             contacts = loaded.contacts(provenance.settings)
             self._estimation = Estimation(loaded.machine, contacts, provenance.settings, 0.0)
-            frames = frames_of(loaded.machine, provenance.frame_prefix)
+            frames = contact_frames(loaded.machine, provenance.frame_prefix)
             self._writers = wrench_writers(frames)
             self._placed = PlacedLinks(loaded.machine.link_frames)
             self._unknown_force = provenance.settings.unknown_force

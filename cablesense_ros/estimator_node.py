@@ -21,7 +21,7 @@ from cablesense_online.answer import Answer
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
 from cablesense_online.loading import load
-from cablesense_online.placed_links import frames_of
+from cablesense_online.placed_links import contact_frames
 from cablesense_online.provenance import Provenance
 from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
 from cablesense_online.statuses import (
@@ -114,7 +114,7 @@ class EstimatorNode(ConfiguredNode):
         if loaded.law is not None:
             leave_interpreted()  # a network asks for an equilibrium in every pose, a law hardly
             self._force_known = ForceKnown(machine, loaded.law, loaded.reference_contacts)
-        frames = frames_of(machine, given["frame_prefix"])
+        frames = contact_frames(machine, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
             self._topics,
             frames,

@@ -167,8 +167,8 @@ class Arm(FilePart):
                 raise ValueError(
                     f"{key} lists {len(value)} values; give one number or {count} (segments.count)"
                 )
-        lengths = per_segment(self.segments.length_m, count)
-        contacts = per_segment(self.segments.contact_m, count)
+        lengths = of_each_segment(self.segments.length_m, count)
+        contacts = of_each_segment(self.segments.contact_m, count)
         for n, (length, contact) in enumerate(zip(lengths, contacts, strict=True)):
             if length <= 2.0 * self.segments.plate_offset_m:
                 raise ValueError(
@@ -235,7 +235,7 @@ class Arm(FilePart):
     def holes(self) -> tuple[Array, Array]:
         """Each cable's holes in the plates: (M,) m from the axis and (M,) rad from +z to +y."""
         segment, cable = np.divmod(np.arange(self.cable_count), self.cables.per_segment)
-        radius = np.array(per_segment(self.cables.routing_radius_m, self.segments.count))
+        radius = np.array(of_each_segment(self.cables.routing_radius_m, self.segments.count))
         angles = self.cables.angle_deg
         degrees = angles.first + angles.per_segment * segment + angles.per_cable * cable
         return radius[segment], np.deg2rad(degrees)
@@ -280,7 +280,7 @@ class Arm(FilePart):
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
-def per_segment(value: float | Sequence[float], count: int) -> list[float]:
+def of_each_segment(value: float | Sequence[float], count: int) -> list[float]:
     """One number for all segments, or a list of one each, as a list of `count` numbers."""
     return [float(value)] * count if isinstance(value, int | float) else [float(v) for v in value]
 

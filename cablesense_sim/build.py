@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.arm import Arm, of_each_segment
 from cablesense_sim.effects.registry import EffectEntry, checked_entry
 from cablesense_sim.mechanism import Mechanism
 
@@ -17,7 +17,7 @@ def mechanism_of(arm: Arm) -> Mechanism:
     radius, angle = arm.holes
     y = radius * np.sin(angle)
     z = radius * np.cos(angle)
-    length = np.asarray(per_segment(arm.segments.length_m, count))
+    length = np.asarray(of_each_segment(arm.segments.length_m, count))
     offset = arm.segments.plate_offset_m
     kp = arm.actuators.kp_n_m
     joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
@@ -32,9 +32,9 @@ def mechanism_of(arm: Arm) -> Mechanism:
     return Mechanism(
         gravity_m_s2=np.asarray(arm.gravity_m_s2, dtype=float),
         segment_length_m=length,
-        mass_kg=np.asarray(per_segment(arm.segments.mass_kg, count)),
+        mass_kg=np.asarray(of_each_segment(arm.segments.mass_kg, count)),
         centre_of_mass_m=0.5 * length,
-        contact_m=np.asarray(per_segment(arm.segments.contact_m, count)),
+        contact_m=np.asarray(of_each_segment(arm.segments.contact_m, count)),
         plate_offset_m=offset,
         cable_segment=segment,
         hole_y_m=y,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.arm import Arm, of_each_segment
 
 
 class TouchedPlaces(NamedTuple):
@@ -30,11 +30,11 @@ def touched_places(arm: Arm) -> TouchedPlaces:
     """The places of an arm file: by default its whole length, at its cables' distance."""
     count = arm.segment_count
     touch = arm.touch
-    length_m = np.array(per_segment(arm.segments.length_m, count))
+    length_m = np.array(of_each_segment(arm.segments.length_m, count))
     touched_m = np.stack([np.zeros(count), length_m], axis=1)
     if touch.reach_m is not None:
         touched_m[:] = touch.reach_m
-    radius_m = np.array(per_segment(arm.cables.routing_radius_m, count))
+    radius_m = np.array(of_each_segment(arm.cables.routing_radius_m, count))
     if touch.radius_m is not None:
         radius_m[:] = touch.radius_m
     if touch.friction == 0.0:

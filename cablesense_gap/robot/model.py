@@ -24,7 +24,7 @@ _GUIDES = {
     int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("SITE", "CYLINDER", "SPHERE")
 }
 _LEAST_KG = 1e-9
-_LEAST_REACH_M = 0.05
+_LEAST_LINK_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 _ZERO_BY_JOINT = (
     "play",
@@ -117,10 +117,10 @@ class Robot:
         return control
 
     @property
-    def reach_m(self) -> float:
+    def longest_link_m(self) -> float:
         """Rough length of its longest link: no body's mass lies farther from its frame."""
         longest = np.abs(self.model.body_pos[1:]).max(initial=0.0)
-        return max(float(longest), float(np.abs(self.model.body_ipos).max()), _LEAST_REACH_M)
+        return max(float(longest), float(np.abs(self.model.body_ipos).max()), _LEAST_LINK_M)
 
     def nominal(self) -> Change:
         """The robot as the model has it, for effects to change."""
@@ -141,7 +141,7 @@ class Robot:
             capstan_friction=np.zeros(len(self.tendons)),
             capstan_presliding=np.zeros(len(self.tendons)),
             coupling=np.zeros((count, count)),
-            reach_m=2.0 * self.reach_m,
+            farthest_mass_m=2.0 * self.longest_link_m,
             **zeros,
         )
 
@@ -198,7 +198,7 @@ class Change:
         coupling: (J, J) by how much joint i moves with encoder j.
         torque_scale, torque_offset: (J,) what a torque reads too much, as a share and in all.
         servo_gain: (J,) by how much, as a share, a position servo is stiffer than modelled.
-        reach_m: how far from a body's centre a mass may be added.
+        farthest_mass_m: how far from a body's centre a mass may be added.
         delay_s: how much later than the motion torques are read.
     """
 
@@ -228,7 +228,7 @@ class Change:
     torque_scale: Array
     torque_offset: Array
     servo_gain: Array
-    reach_m: float
+    farthest_mass_m: float
     delay_s: float = 0.0
 
     def key(self, *names: str) -> tuple[bytes, ...]:

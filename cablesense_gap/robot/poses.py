@@ -46,7 +46,7 @@ class TrackedFrame:
     is_site: bool
 
 
-def frames_of(robot: Robot) -> tuple[str, ...]:
+def pose_frames(robot: Robot) -> tuple[str, ...]:
     """Names of the bodies and sites that joints move, which poses may be of."""
     model = robot.model
     moved = model.body_weldid != 0

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cablesense_gap.robot.model import Robot, gravity_torque
-from cablesense_gap.robot.poses import PoseKinematics, frames_of
+from cablesense_gap.robot.poses import PoseKinematics, pose_frames
 from cablesense_recording.channels import RobotChannels
 from cablesense_recording.efforts import Meaning
 from cablesense_recording.robot_recording import RobotRecording as RobotRecording
@@ -28,7 +28,7 @@ def channels_of(robot: Robot) -> RobotChannels:
         torque_units=robot.torque_units,
         limited=tuple(robot.model.jnt_limited.astype(bool).tolist()),
         driven=_driven(robot),
-        frames=frames_of(robot),
+        frames=pose_frames(robot),
     )
 
 

@@ -14,25 +14,25 @@ from cablesense_online.page.snapshot import ForceBounds
 
 @dataclass(frozen=True)
 class Arrows:
-    """Sizes of arrows: that of `strongest_n` is 3/4 of `reach_m`, the size of the machine."""
+    """Sizes of arrows: that of `strongest_n` is 3/4 of `size_m`, the size of the machine."""
 
-    reach_m: float
+    size_m: float
     strongest_n: float
 
     def length_m(self, magnitude_n: ArrayLike) -> Array:
         """Within what can be seen and fits the view."""
         share = 0.75 * np.asarray(magnitude_n) / self.strongest_n
-        return self.reach_m * np.clip(share, 0.1, 0.85)
+        return self.size_m * np.clip(share, 0.1, 0.85)
 
     @property
     def newtons_per_m(self) -> float:
         """The force of a metre, as far as arrows are neither the shortest nor the longest."""
-        return self.strongest_n / (0.75 * self.reach_m)
+        return self.strongest_n / (0.75 * self.size_m)
 
     @property
     def apart_m(self) -> float:
         """Distance of true and estimated arrow along the link: neither hides the other."""
-        return 0.015 * self.reach_m
+        return 0.015 * self.size_m
 
 
 def unit(vector: Array) -> Array:

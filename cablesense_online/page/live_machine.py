@@ -32,7 +32,7 @@ from cablesense_online.page.snapshot import (
     Snapshot,
     headline,
 )
-from cablesense_online.placed_links import PlacedLinks, frames_of
+from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.loads import LoadError
 
@@ -101,7 +101,7 @@ class LiveMachine:
     ) -> None:
         felt = shown.felt
         self.shown = shown
-        self.frames = frames_of(felt, frame_prefix)
+        self.frames = contact_frames(felt, frame_prefix)
         self.tension_publisher = FollowedPublisher()
         self._placed = PlacedLinks(felt.link_frames)
         self._estimator = estimator

@@ -183,9 +183,9 @@ def model_extent(solids: Sequence[Solid], drawn: DrawnPose) -> Extent:
     every_corner = np.vstack(corners)
     lowest = every_corner.min(axis=0)
     highest = every_corner.max(axis=0)
-    reach_m = float(np.linalg.norm(highest - lowest))
-    floor_m = float(lowest[2]) - _FLOOR_GAP * reach_m
-    return Extent(0.5 * (lowest + highest), reach_m, floor_m)
+    size_m = float(np.linalg.norm(highest - lowest))
+    floor_m = float(lowest[2]) - _FLOOR_GAP * size_m
+    return Extent(0.5 * (lowest + highest), size_m, floor_m)
 
 
 def _corners_m(solid: Solid) -> Array:

@@ -106,7 +106,7 @@ class Page:
         self._controls: Controls | None = None
         self._command_values = [slider.home for slider in shown.sliders]
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
-        arrows = Arrows(shown.extent.reach_m, shown.strongest_n)
+        arrows = Arrows(shown.extent.size_m, shown.strongest_n)
         mouse = Mouse(self._touch, self._pull) if actions else None
         self._scene = MachineScene(server.scene, shown, arrows, mouse)
         # where "Reset View" of the viewer's menu leads
@@ -165,7 +165,7 @@ class Page:
             same_shape = abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted
             home_m = view(self._shown.extent, camera.aspect)[0]
             off_m = np.abs(np.asarray(camera.position) - wide_m).max()
-            was_reset = off_m < _SAME_VIEW * self._shown.extent.reach_m
+            was_reset = off_m < _SAME_VIEW * self._shown.extent.size_m
             if same_shape and (not was_reset or np.allclose(home_m, wide_m)):
                 return
             fitted = camera.aspect
@@ -177,7 +177,7 @@ class Page:
     def _show_all(self, client: viser.ClientHandle) -> None:
         camera = client.camera
         with client.atomic():
-            camera.near = 0.02 * self._shown.extent.reach_m
+            camera.near = 0.02 * self._shown.extent.size_m
             camera.fov = VIEW_ANGLE_RAD
             camera.position, camera.look_at = view(self._shown.extent, camera.aspect)
 

@@ -108,7 +108,7 @@ def view(extent: Extent, aspect: float) -> tuple[Array, Array]:
     `aspect` is the view's width over its height.
     """
     look_at = extent.look_at_m
-    from_there = extent.reach_m * _SIDE_VIEW * max(1.0, 1.05 / max(aspect, 0.2))
+    from_there = extent.size_m * _SIDE_VIEW * max(1.0, 1.05 / max(aspect, 0.2))
     if aspect < _TALL:
         half_height_m = float(np.linalg.norm(from_there)) * math.tan(0.5 * VIEW_ANGLE_RAD)
         look_at = look_at - np.array([0.0, 0.0, 0.55 * half_height_m])
@@ -149,7 +149,7 @@ class MachineScene:
             "/interval",
             np.zeros((INTERVAL_LINES, 2, 3)),
             np.tile(linear_rgb(np.array(ESTIMATE_RGB)), (INTERVAL_LINES, 2, 1)),
-            thickness=_INTERVAL_WIDTH * arrows.reach_m,
+            thickness=_INTERVAL_WIDTH * arrows.size_m,
             visible=False,
         )
         self._region = [
@@ -223,7 +223,7 @@ class MachineScene:
     def _show_region(self, region: Sequence[PlaceInterval], links: LinksAtPose) -> None:
         """A band around what an interval of places covers of each link."""
         lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
-        thinnest_m = _THINNEST_REGION * self._arrows.reach_m
+        thinnest_m = _THINNEST_REGION * self._arrows.size_m
         covered = {part.segment: part for part in region}
         for n, band in enumerate(self._region):
             part = covered.get(n + 1)
@@ -237,34 +237,34 @@ class MachineScene:
             band.scale = (1.0, 1.0, max(part.high_m - part.low_m, thinnest_m))
 
     def _add_ground(self) -> None:
-        reach_m = self._arrows.reach_m
+        size_m = self._arrows.size_m
         floor_m = self._shown.extent.floor_m
         x_m, y_m, _ = self._shown.extent.look_at_m.tolist()
-        square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * reach_m))))
+        square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * size_m))))
         self._scene.add_grid(
             "/ground",
-            width=6.0 * reach_m,
-            height=6.0 * reach_m,
+            width=6.0 * size_m,
+            height=6.0 * size_m,
             cell_size=square_m,
             section_size=5.0 * square_m,
             cell_color=(70, 79, 95),
             section_color=(116, 129, 150),
             plane_color=(38, 43, 52),
             plane_opacity=1.0,
-            fade_distance=8.0 * reach_m,
+            fade_distance=8.0 * size_m,
             position=(x_m, y_m, floor_m),
         )
         scale = f"squares of {100.0 * square_m:g} cm"
-        place = (0.65 * reach_m, -0.55 * reach_m, 0.0)
+        place = (0.65 * size_m, -0.55 * size_m, 0.0)
         self._add_label("/ground/scale", scale, place, "center-center")
 
     def _add_axes(self) -> None:
         """The axes of the base frame, on the floor below the base, where nothing hides them."""
-        length_m = _AXES_LENGTH * self._arrows.reach_m
+        length_m = _AXES_LENGTH * self._arrows.size_m
         self._scene.add_frame(
             "/axes",
             axes_length=length_m,
-            axes_radius=_AXES_RADIUS * self._arrows.reach_m,
+            axes_radius=_AXES_RADIUS * self._arrows.size_m,
             position=(0.0, 0.0, self._shown.extent.floor_m),
         )
         for axis, name in enumerate("xyz"):
@@ -283,7 +283,7 @@ class MachineScene:
             np.full(
                 drawn.piece_m.shape, 128, dtype=np.uint8
             ),  # one colour would stay the only one
-            thickness=_CABLE_WIDTH * self._arrows.reach_m,
+            thickness=_CABLE_WIDTH * self._arrows.size_m,
         )
 
     def _add_solid(self, name: str, solid: Solid) -> None:
@@ -352,9 +352,9 @@ class _Forces:
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
             linear_rgb(np.array(rgb)),
-            shaft_radius=_SHAFT_RADIUS * sizes.reach_m,
-            head_radius=_HEAD_RADIUS * sizes.reach_m,
-            head_length=_HEAD_LENGTH * sizes.reach_m,
+            shaft_radius=_SHAFT_RADIUS * sizes.size_m,
+            head_radius=_HEAD_RADIUS * sizes.size_m,
+            head_length=_HEAD_LENGTH * sizes.size_m,
             visible=False,
         )
         look: Any = {"anchor": anchor, "font_screen_scale": 1.05, "visible": False}

@@ -83,12 +83,12 @@ class Extent:
 
     Attributes:
         look_at_m: (3,) the middle of the view.
-        reach_m: length of the machine, to which all drawn sizes are proportional.
+        size_m: length of the machine, to which all drawn sizes are proportional.
         floor_m: height of the floor.
     """
 
     look_at_m: Array
-    reach_m: float
+    size_m: float
     floor_m: float
 
 

@@ -67,7 +67,7 @@ class ShownModel:
         self.piece_channel = self._pieces.channel
         drawn = self.drawn_at(machine.reference)
         self.extent = model_extent(self.solids, drawn)
-        thinnest_m = 0.01 * self.extent.reach_m
+        thinnest_m = 0.01 * self.extent.size_m
         self.surface_m = np.maximum(links.radius_m, thinnest_m)
         self.labels = tuple(_labels(machine, self.surface_m))
 

@@ -117,8 +117,8 @@ def _camera(shown: ShownMachine) -> mujoco.MjvCamera:
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
     camera.lookat[:] = shown.extent.look_at_m
-    camera.lookat[2] += _LOOK_ABOVE * shown.extent.reach_m
-    camera.distance = _DISTANCE * shown.extent.reach_m
+    camera.lookat[2] += _LOOK_ABOVE * shown.extent.size_m
+    camera.distance = _DISTANCE * shown.extent.size_m
     camera.azimuth = _AZIMUTH_DEG
     camera.elevation = _ELEVATION_DEG
     return camera
@@ -139,7 +139,7 @@ def _model(shown: ShownMachine) -> mujoco.MjModel:
         height=_SKY_PX,
     )
     extent = shown.extent
-    spec.stat.extent = extent.reach_m
+    spec.stat.extent = extent.size_m
     spec.stat.center[:] = extent.look_at_m
     bodies = [spec.worldbody.add_body(mocap=True) for _ in shown.bodies]
     for number, solid in enumerate(shown.solids):
@@ -174,14 +174,14 @@ def _add_solid(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, mesh_nam
 
 def _add_all(scene: mujoco.MjvScene, shown: ShownMachine, snapshot: Snapshot, pose: _Pose) -> None:
     """Cables, the band of the place, both arrows, and the outline of the interval."""
-    reach_m = shown.extent.reach_m
-    arrows = Arrows(reach_m, shown.strongest_n)
+    size_m = shown.extent.size_m
+    arrows = Arrows(size_m, shown.strongest_n)
     _add_cables(scene, shown, snapshot, pose.drawn)
     links = pose.drawn.links
     for part in snapshot.region:
         n = part.segment - 1
         middle_m = 0.5 * (part.low_m + part.high_m)
-        half_m = 0.5 * max(part.high_m - part.low_m, _THINNEST_REGION * reach_m)
+        half_m = 0.5 * max(part.high_m - part.low_m, _THINNEST_REGION * size_m)
         along = links.axes[n, :, 0]
         centre = links.origin_m[n] + middle_m * along
         ends = np.stack([centre - half_m * along, centre + half_m * along])
@@ -197,7 +197,7 @@ def _add_all(scene: mujoco.MjvScene, shown: ShownMachine, snapshot: Snapshot, po
             (tail_m, tip_m), _ = _arrow(shown, pose, contact, aside_m, arrows)
             ends = np.stack([tail_m, tail_m + _ARROW_STRETCH * (tip_m - tail_m)])
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
-            _connect(scene, arrow, _ARROW_RADIUS * reach_m, ends, rgb)
+            _connect(scene, arrow, _ARROW_RADIUS * size_m, ends, rgb)
     if snapshot.estimated and snapshot.bounds is not None:
         contact = snapshot.estimated[0]
         n = contact.segment - 1
@@ -213,7 +213,7 @@ def _add_all(scene: mujoco.MjvScene, shown: ShownMachine, snapshot: Snapshot, po
         )
         for line in lines:
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-            _connect(scene, capsule, _OUTLINE_RADIUS * reach_m, line, ESTIMATE_RGB)
+            _connect(scene, capsule, _OUTLINE_RADIUS * size_m, line, ESTIMATE_RGB)
 
 
 def _arrow(
@@ -237,7 +237,7 @@ def _add_cables(
     scale_n = full_scale_n(float(snapshot.readings.max()), shown.panels[0].least)
     colours = tension_rgb(snapshot.readings[np.maximum(channel, 0)], scale_n)
     colours[channel < 0] = _UNREAD_RGB
-    radius_m = _CABLE_RADIUS * shown.extent.reach_m
+    radius_m = _CABLE_RADIUS * shown.extent.size_m
     for ends, (red, green, blue) in zip(drawn.piece_m, colours.tolist(), strict=True):
         if np.linalg.norm(ends[1] - ends[0]) > 0.0:
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE

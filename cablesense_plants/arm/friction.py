@@ -44,7 +44,7 @@ class PlantFriction:
         coefficient: (M,) of each cable on its guides, while it slides.
         breakaway: the same of a cable that sticks, by that of one that slides.
         pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
-        reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
+        presliding_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
         rounded: whether bristles yield gradually, see `_friction_state`.
         actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
         same_before: whether as much lies before every pulley as there does on the average.
@@ -58,7 +58,7 @@ class PlantFriction:
     coefficient: Array = NO_FAULT
     breakaway: float = 1.0
     pulley_rad: float = 0.0
-    reach_m: float = 0.0
+    presliding_m: float = 0.0
     rounded: bool = False
     actuator_share: float = 0.3
     same_before: bool = False
@@ -338,7 +338,7 @@ class QuasiStaticPath:
         sliding = guess.sliding
         if even:
             tension[:] = pull.even_n[:, None]
-        rigid = not self.friction.reach_m
+        rigid = not self.friction.presliding_m
         unsettled = np.ones((len(tension), 1), dtype=bool)
         law = self._law(before, pull, tension, sliding)
         for sweep in range(_MOST_SWEEPS):
@@ -359,9 +359,9 @@ class QuasiStaticPath:
         c = self._compliance_m_n
         fed = pull.slack_fed_m - (c * tension) @ self._beyond.T
         moved = fed - before.fed_m
-        if self.friction.reach_m:
+        if self.friction.presliding_m:
             state, slope = _friction_state(
-                self.friction.rounded, before.bristle, moved, self.friction.reach_m
+                self.friction.rounded, before.bristle, moved, self.friction.presliding_m
             )
             state = np.where(pull.grip > 0.0, state, 0.0)
             ratio = np.exp(pull.grip * state)

@@ -173,7 +173,7 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
     numbers = {
         "breakaway": draw.uniform(1.15, 1.5) if onset == "breakaway" else 1.0,
         "pulley_rad": draw.uniform(0.3, 1.6) if pulley else 0.0,
-        "reach_m": _log_uniform(draw, 1e-5, 1e-4) if "bristles" in onset else 0.0,
+        "presliding_m": _log_uniform(draw, 1e-5, 1e-4) if "bristles" in onset else 0.0,
         "actuator_share": draw.uniform(0.1, 0.4),
     }
     rounded = onset == "rounded bristles"

@@ -43,7 +43,7 @@ class RobotDraw(Draw):
         return bool((self.robot.chain.axis == self.robot.chain.axis[0]).all())
 
     @property
-    def reach_m(self) -> float:
+    def longest_link_m(self) -> float:
         """The longest link, roughly."""
         return float(np.abs(self.robot.chain.origin_m).max())
 
@@ -158,7 +158,7 @@ def link_centre(draw: RobotDraw) -> RobotChange:
     link = int(draw.rng.integers(len(draw.links)))
     way = draw.direction()
     shifted = sets("chain", centre_m=at_index(link, added(way)))
-    return RobotChange(shifted, "shifted", (draw.links[link],), most=0.6 * draw.reach_m)
+    return RobotChange(shifted, "shifted", (draw.links[link],), most=0.6 * draw.longest_link_m)
 
 
 @LISTED.of_size("1", most=2.0)
@@ -181,7 +181,7 @@ LISTED.of_size("1", most=0.3)(at_joints("proportional"), "load_friction")
 def payload(draw: RobotDraw) -> RobotChange:
     """A point mass on a link."""
     link = int(draw.rng.integers(len(draw.links)))
-    away_m = draw.reach_m * draw.rng.uniform(0.15, 0.5) * draw.direction()
+    away_m = draw.longest_link_m * draw.rng.uniform(0.15, 0.5) * draw.direction()
     place = draw.robot.chain.centre_m[link] + away_m
     loaded = sets(chain=lambda chain, size: chain.with_mass(link, size, place))
     details = dict(zip(("x_m", "y_m", "z_m"), map(float, place), strict=True))
@@ -268,7 +268,7 @@ def flexible_base(draw: RobotDraw) -> RobotChange:
     axis = np.array([np.cos(angle), np.sin(angle), 0.0])
     axis = draw.robot.chain.axis[0] if draw.planar else axis
     gives = sets(base_axis=axis, base_stiffness=lambda _, size: np.array(1.0 / size))
-    most = 0.5 / float(draw.robot.chain.mass_kg.sum() * 9.81 * draw.reach_m)
+    most = 0.5 / float(draw.robot.chain.mass_kg.sum() * 9.81 * draw.longest_link_m)
     return RobotChange(gives, most=most)
 
 

@@ -26,7 +26,7 @@ from scipy.stats import qmc
 
 from cablesense_base import Array
 from cablesense_base.plain_yaml import describe_problem
-from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.arm import Arm, of_each_segment
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.load_capacity import contact_range_n, pose_range_deg
@@ -211,7 +211,7 @@ class Protocol(Options, ABC):
 
     def reach_m(self, arm: Arm) -> Array:
         """(N, 2) ranges of the places of contacts, from the segments' joint centres."""
-        points = np.array(per_segment(arm.segments.contact_m, arm.segment_count))
+        points = np.array(of_each_segment(arm.segments.contact_m, arm.segment_count))
         return np.stack([points, points], axis=1)
 
     def dimensions(self, segment_count: int) -> int:

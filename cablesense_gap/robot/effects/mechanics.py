@@ -117,7 +117,7 @@ class LinkCentre(RobotEffect):
     numbers = tuple(size(f"{axis}_m", "m", 1.0, 0.1, f"along the link's {axis}") for axis in "xyz")
 
     def usual(self, robot: Robot, scale: Scale) -> float:
-        return robot.reach_m
+        return robot.longest_link_m
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.centre_m[at] += [values[f"{axis}_m"] for axis in "xyz"]
@@ -144,14 +144,14 @@ class AddedMass(RobotEffect):
         """
         body_mass = robot.model.body_mass[robot.body_ids]
         hinge = np.array(robot.position_units) == "rad"
-        lever_m = np.where(hinge, robot.reach_m, 1.0)
+        lever_m = np.where(hinge, robot.longest_link_m, 1.0)
         weight = lever_m * float(np.linalg.norm(robot.model.opt.gravity))
         by_motion = lever_m**2 * scale.acceleration
         least = 0.1 * float((scale.torque / np.maximum(weight + by_motion, 1e-9)).min())
         most = float((scale.torque / np.maximum(by_motion, 0.01 * weight + 1e-9)).max())
         typical = max(least, 0.02 * float(body_mass.min()))
         most = max(most, 10.0 * float(body_mass.max()))
-        moment = 0.3 * typical * robot.reach_m
+        moment = 0.3 * typical * robot.longest_link_m
         spread = most / typical
         about = "first moment about the body's centre of mass: over the mass it gives the place"
         mass = size("mass_kg", "kg", 10.0 * most, typical, "of what was added", 0.0, spread)
@@ -161,7 +161,7 @@ class AddedMass(RobotEffect):
 
     def act(self, change: Change, at: int, values: Values) -> None:
         moment = np.array([values[f"moment_{axis}_kg_m"] for axis in "xyz"])
-        mass = max(values["mass_kg"], float(np.linalg.norm(moment)) / change.reach_m)
+        mass = max(values["mass_kg"], float(np.linalg.norm(moment)) / change.farthest_mass_m)
         if mass > 0.0:
             change.add_point_mass(at, mass, change.centre_m[at] + moment / mass)
 

@@ -45,7 +45,7 @@ def simulated_n(**parameters: float) -> np.ndarray:
     ("plant", "simulator"),
     [
         ({}, {}),
-        ({"reach_m": 4e-5}, {"give_m": 4e-5}),
+        ({"presliding_m": 4e-5}, {"give_m": 4e-5}),
         ({"pulley_rad": 1.0}, {"pulley_wrap_rad": 1.0}),
         ({"pulley_rad": 1.0, "weightless": True}, {"pulley_wrap_rad": 1.0, "weight_borne": 0.0}),
     ],

@@ -65,8 +65,8 @@ def test_without_friction_it_is_the_path_of_rests() -> None:
     "law",
     [
         friction(breakaway=1.4, pulley_rad=1.0),
-        friction(reach_m=2e-5),
-        friction(rounded=True, reach_m=1e-4, pulley_rad=1.0),
+        friction(presliding_m=2e-5),
+        friction(rounded=True, presliding_m=1e-4, pulley_rad=1.0),
     ],
     ids=["breakaway", "bristles", "rounded"],
 )

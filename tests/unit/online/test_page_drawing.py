@@ -21,7 +21,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
 
 CONTACT = np.array([0.3, 0.01, -0.02])
-ARROWS = Arrows(reach_m=0.5, strongest_n=200.0)
+ARROWS = Arrows(size_m=0.5, strongest_n=200.0)
 
 
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_table2"])
