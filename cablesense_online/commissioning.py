@@ -68,7 +68,8 @@ class CommissioningSettings:
     """How a commissioning goes.
 
     Attributes:
-        joint_speed_rad_s: peak speed at which the arm approaches a command.
+        joint_speed_rad_s: peak speed at which the machine approaches a command by itself; a move
+            is waited for as long as that takes.
         settle_s: waited after a move, until the arm is at rest.
         readings: averaged in each pose; of fast sensors those of 0.2 s.
         approach_rad: how far beyond a pose a joint turns first, to reach it from a certain side;
