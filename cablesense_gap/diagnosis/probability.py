@@ -117,11 +117,13 @@ def log_weights_beside_unlisted(
     The unlisted acts in a share s of the readings, chosen among C others of its kind:
 
         log w = -(1 - s) κ log(r / least) - s κ log(√((φ u)² + (γ σ₀)²) / least)
-                - π(k) - ν n - τ (max(s / m, 1) - 1) - p - π_unknown - log C
+                - π(k) - s k κ log(1 / φ) - ν n - τ (max(s / m, 1) - 1) - p - π_unknown - log C
 
     r is what is left of the other readings, to which the hypothesis was fitted, and u what it
     leaves of these (`unlisted_rmse` (H,)). Each kind of reading has its own power, as a likelihood
-    with an unknown variance of each has. Without effects κ₀ takes the place of κ outside.
+    with an unknown variance of each has. Without effects κ₀ takes the place of κ outside. Where
+    the unlisted acts, each of the k effects may be its imitation, so it must remove more than
+    that does.
     """
     nuisance_count = max(hypotheses[0].nuisance_count, 1)
     weights = []
@@ -161,7 +163,8 @@ def log_weight_beside_unlisted(
     power = c.power if effects else c.none
     of_effects = c.one + (effects - 1) * (c.two - c.one) + c.size * sizes if effects else 0.0
     explained = (1.0 - share) * power * np.log(outside / least)
-    unexplained = share * c.power * np.log(unlisted / least)
+    imitated = share * effects * c.power * np.log(1.0 / c.share)
+    unexplained = share * c.power * np.log(unlisted / least) + imitated
     return float(-explained - unexplained - of_effects - c.unknown - log_choices)
 
 

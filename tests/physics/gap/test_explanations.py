@@ -166,3 +166,13 @@ def test_an_extent_that_is_like_the_rest_says_no_more_than_all_readings(floors, 
     expected = (1.0 - share) * alone + share * weight(1.0, 0.0)
     assert weight(share, 0.0) == pytest.approx(expected)
     assert weight(share, 3.0) == pytest.approx(expected - 3.0)
+
+
+def test_an_effect_that_removes_what_an_imitation_does_makes_no_unlisted_one_likelier():
+    """Beside an unlisted effect that acts everywhere, and far beyond the floor."""
+    none = hypothesis(left=1000.0 * FLOOR)
+    imitation = hypothesis("gain", left=1000.0 * FLOOR * BUNDLED.share)
+    left = np.array([h.held_out_rmse for h in (none, imitation)])
+    alone, beside = log_weights_beside_unlisted([none, imitation], left, 1.0, 0.0, FLOOR, BUNDLED)
+    expected = -BUNDLED.one - BUNDLED.size * imitation.sizes
+    assert beside - alone == pytest.approx(expected, abs=1e-3)
