@@ -131,8 +131,8 @@ class CalibratedArm:
                 those of the untouched arm.
         """
         unloaded = unloaded_reading(state, self._settings, now_ns, state.way.came_from_rad)
-        calibration, misfit_n = self._updated(state.calibration, unloaded, forced=forced)
-        tare = Tare(unloaded, by_itself, misfit_n)
+        calibration, misfit = self._updated(state.calibration, unloaded, forced=forced)
+        tare = Tare(unloaded, by_itself, misfit)
         return replace(
             self._with_calibration(state, calibration),
             automatic=False,
@@ -265,7 +265,7 @@ class CalibratedArm:
     def _updated(
         self, calibration: Calibration, unloaded: Unloaded, *, forced: bool
     ) -> tuple[Calibration, Array]:
-        """The calibration with a tare, and by how much its readings (M,) are unexpected, N."""
+        """The calibration with a tare, and by how much its observations are unexpected."""
         present = self.calibrator.moved(calibration)
         seen = self._law(
             unloaded.reading_n[None],

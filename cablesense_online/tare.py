@@ -16,6 +16,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Unloaded
+from cablesense_contact.felt import FeltMachine
 from cablesense_online.settings import EstimationSettings
 
 MOST_KEPT = 16
@@ -40,21 +41,30 @@ class Tare:
     Attributes:
         unloaded: the readings.
         by_itself: whether it was taken by `auto_tare`.
-        misfit_n: (M,) by how much the readings differed from what was expected of the arm.
+        misfit: by how much the observations differed from what was expected: (M,) of the
+            readings, N; of a machine whose joints are measured the joints' torques, N·m.
     """
 
     unloaded: Unloaded
     by_itself: bool
-    misfit_n: Array
+    misfit: Array
 
-    def described(self, cable_names: Sequence[str]) -> str:
-        """Time and values, as text for a log; `cable_names` (M,)."""
-        rows = zip(cable_names, self.unloaded.reading_n, self.misfit_n, strict=True)
-        cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
-        return (
-            f"at {utc_text(self.unloaded.taken_ns)}: average of {self.unloaded.count} readings; "
-            f"in N, with the deviation from what was expected: {cables}"
+    def described(self, machine: FeltMachine) -> str:
+        """Time and values, as text for a log."""
+        names = machine.channels.names
+        readings = [
+            f"{name} {reading:.2f}"
+            for name, reading in zip(names, self.unloaded.reading_n, strict=True)
+        ]
+        taken = f"at {utc_text(self.unloaded.taken_ns)}: average of {self.unloaded.count} readings"
+        if machine.reads_joints:
+            off_n_m = np.abs(self.misfit).max()
+            expected = f"joints' torques within {off_n_m:.2g} N·m of what was expected"
+            return f"{taken}: {', '.join(readings)}; {expected}"
+        each = ", ".join(
+            f"{reading} ({off:+.2f})" for reading, off in zip(readings, self.misfit, strict=True)
         )
+        return f"{taken}; in N, with the deviation from what was expected: {each}"
 
 
 Known = TypeVar("Known")
@@ -189,7 +199,7 @@ def unloaded_reading(
 def tare_undone_line(
     undone: Tare,
     in_force: Tare | None,
-    cable_names: Sequence[str],
+    machine: FeltMachine,
     undoable: int,
     *,
     replaced: bool = False,
@@ -201,7 +211,7 @@ def tare_undone_line(
     line = f"tare of {utc_text(undone.unloaded.taken_ns)} undone; "
     if in_force is None:
         return line + "there is none now"
-    described = in_force.described(cable_names)
+    described = in_force.described(machine)
     if replaced:
         return f"{line}it was the only one, so another took its place {described}"
     return f"{line}again in force is the one {described}; {undoable} left to undo"

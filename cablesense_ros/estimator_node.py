@@ -184,15 +184,15 @@ class EstimatorNode(ConfiguredNode):
         if undone is None:
             message = "the calibration taken over last is undone"
         else:
-            names = self._loaded.machine.channels.names
+            machine = self._loaded.machine
             message = tare_undone_line(
-                undone, in_force, names, unloaded.undoable, replaced=replaced
+                undone, in_force, machine, unloaded.undoable, replaced=replaced
             )
         self.get_logger().info(message)
         return message
 
     def _log_tare(self, tare: Tare, how: str) -> str:
-        message = f"tare taken {how} {tare.described(self._loaded.machine.channels.names)}"
+        message = f"tare taken {how} {tare.described(self._loaded.machine)}"
         self.get_logger().info(message)
         return message
 

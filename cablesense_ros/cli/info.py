@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.console import Console
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import OutputError, output_file, read_bounded_bytes, write_atomically
@@ -137,7 +138,9 @@ def info(
         lines = effect_lines(description)
     elif is_machine_file(file):
         refuse_given(context, ["blind", "picture", "bend_deg"], "of a machine file")
-        title, description = _machine(file, load_n, observability=observability)
+        title, description, warning = _machine(file, load_n, observability=observability)
+        if warning and not json_output:
+            Console(stderr=True).print(warning, highlight=False, markup=False)
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
@@ -166,12 +169,20 @@ def info(
         print_result(title, description, json_output)
 
 
-def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description]:
-    from cablesense_ros.cli.machine_info import machine_description, machine_observability
+def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description, str]:
+    """Title, values and, where there is something to mend, a warning."""
+    from cablesense_ros.cli.machine_info import (
+        machine_description,
+        machine_observability,
+        unseen_links,
+        weak_links,
+    )
 
     if observability:
-        return "What one reading tells of a contact", machine_observability(file, load_n)
-    return "Machine", machine_description(file)
+        seen = machine_observability(file, load_n)
+        return "What one reading tells of a contact", seen, unseen_links(seen)
+    described = machine_description(file)
+    return "Machine", described, weak_links(described)
 
 
 def urdf(

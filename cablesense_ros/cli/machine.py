@@ -37,10 +37,17 @@ def machine(
     path = out or model.with_suffix(".yaml")
     output_file(path, force=force, inputs=(model,))
     write_atomically(path, guessed_machine_file(model).encode(), MachineError)
-    print(f"{path}: a guess; correct it, then make its estimator:")
-    print(f"  cablesense export --arm {path} --out {path.with_suffix('.onnx')}")
-    opened = open_machine(path)
+    try:
+        opened = open_machine(path)
+    except MachineError as error:
+        raise MachineError(
+            f"{error}. {path} has the guess as far as it goes: correct it, or mend the model and "
+            "guess again with --force"
+        ) from error
     links = len(opened.links.names)
     channels = len(opened.channels.names)
     joints = len(opened.coordinates)
     print(f"{opened.identity}: {channels} channels, {joints} joints, {links} links to be touched")
+    print(f"{path}: a guess; correct it, look at it, then make its estimator:")
+    print(f"  cablesense info {path}")
+    print(f"  cablesense export --arm {path} --out {path.with_suffix('.onnx')}")

@@ -8,6 +8,11 @@ import numpy as np
 
 Description = dict[str, Any]
 
+_LEAST_RANGE_M = 1e-6
+"""A range of places that is a point has this deviation."""
+_OF_RANGE = 0.8
+"""Share of a range's deviation from which on a place counts as not told."""
+
 
 def machine_description(path: str) -> Description:
     """Channels, joints, links and uncertain parameters of a machine, as plain values in SI units.
@@ -16,6 +21,7 @@ def machine_description(path: str) -> Description:
         MachineError: it cannot be used.
     """
     from cablesense_contact.machine.observation import Observer
+    from cablesense_sim.machine.capacity import borne_n
     from cablesense_sim.machine.machine import open_machine
     from cablesense_sim.machine.simulated import SimulatedMachine
 
@@ -54,13 +60,40 @@ def machine_description(path: str) -> Description:
         "commands": list(machine.command_names),
         "coordinates": list(machine.coordinates.names),
         "links": [
-            {"name": name, "touched_m": touched.tolist(), "radius_m": float(radius_m)}
-            for name, touched, radius_m in zip(
-                links.names, links.touched_m, links.radius_m, strict=True
+            {
+                "name": name,
+                "touched_m": touched.tolist(),
+                "radius_m": float(radius_m),
+                "bears_n": float(bears_n),
+            }
+            for name, touched, radius_m, bears_n in zip(
+                links.names,
+                links.touched_m,
+                links.radius_m,
+                borne_n(nominal, command),
+                strict=True,
             )
         ],
+        "largest_n": machine.source.file.touch.largest_n,
         "parameters": {group.name: len(group.places) for group in parameters.groups},
     }
+
+
+def weak_links(description: Description) -> str:
+    """A warning, where tendons go slack before the largest force that the file expects."""
+    largest_n = description["largest_n"]
+    weak = [
+        f"{link['name']} {link['bears_n']:.3g} N"
+        for link in description["links"]
+        if link["bears_n"] < largest_n
+    ]
+    if not weak:
+        return ""
+    return (
+        f"A tendon goes slack before touch.largest_n ({largest_n:g} N) at the far end of: "
+        f"{', '.join(weak)}. A sample with a slack tendon says less, or is refused: raise "
+        "cables.pretension_n, or lower largest_n."
+    )
 
 
 def machine_observability(path: str, load_n: float) -> Description:
@@ -68,7 +101,7 @@ def machine_observability(path: str, load_n: float) -> Description:
 
     The deviations are those that no estimate can be below (Cramér-Rao), with the noise of the
     sensors alone, and with the tolerances of the machine file before any tare. The axial force is
-    taken to be as large as friction lets it.
+    taken to be as large as friction lets it, the place within the range that the file states.
 
     Raises:
         MachineError: it cannot be used, or does not bear the load.
@@ -88,7 +121,10 @@ def machine_observability(path: str, load_n: float) -> Description:
     count = len(machine.coordinates)
     rows = []
     for link, name in enumerate(machine.links.names):
-        place_m = float(machine.links.touched_m[link].mean())
+        first_m, last_m = machine.links.touched_m[link].tolist()
+        place_m = 0.5 * (first_m + last_m)
+        # the place is one of the touched range, equally probable
+        range_std_m = (last_m - first_m) / np.sqrt(12.0) + _LEAST_RANGE_M
         force = LinkForce(link, np.array([place_m, 0.0, 0.0]), load_n * np.array([0, 0.6, 0.8]))
         reading = nominal.touched(command, [force], untouched).values
         row: Description = {"link": name, "place_m": place_m}
@@ -103,25 +139,39 @@ def machine_observability(path: str, load_n: float) -> Description:
             by_place = force.force_n @ levers[3:]
             slope = seen.by_torque @ np.concatenate([by_force, by_place[None]]).T
             information = slope.T @ seen.information @ slope
-            force_n, place_mm = _deviations(information, load_n, axial_n)
+            force_n, place_mm = _deviations(information, load_n, axial_n, range_std_m)
             row[f"{key}force_n"] = force_n
             row[f"{key}place_mm"] = place_mm
         rows.append(row)
     return {"kind": "observability", "file": path, "load_n": load_n, "links": rows}
 
 
+def unseen_links(seen: Description) -> str:
+    """A note on links on which one reading does not tell a force; empty without such links."""
+    unseen = [row["link"] for row in seen["links"] if row["force_n"] is None]
+    if not unseen:
+        return ""
+    return (
+        f"A dash: one reading does not tell this apart from the rest. On {', '.join(unseen)} a "
+        "push is known by its moments on the joints alone (state `moment`), as fewer of them are "
+        "read than a force and its place have numbers. If a link is touched at one place only, "
+        "list that place under touch.links: then its force is known."
+    )
+
+
 def _deviations(
-    information: Any, load_n: float, axial_n: float
+    information: Any, load_n: float, axial_n: float, range_std_m: float
 ) -> tuple[float | None, float | None]:
     """Deviations of lateral force, N, and place, mm, by the information on (f, place).
 
-    None where a reading tells nothing of them.
+    None where a reading tells nothing of them: of the force no more than its size, of the place no
+    more than its range.
     """
-    known = np.diag([axial_n**-2, 1e-6 * load_n**-2, 1e-6 * load_n**-2, 1e-4])
+    known = np.diag([axial_n**-2, 1e-6 * load_n**-2, 1e-6 * load_n**-2, range_std_m**-2])
     covariance = np.linalg.inv(information + known)
     force_n = float(np.sqrt(covariance[1, 1] + covariance[2, 2]))
     place_m = float(np.sqrt(covariance[3, 3]))
     return (
-        round(force_n, 4) if force_n < 100.0 * load_n else None,
-        round(1e3 * place_m, 3) if place_m < 1.0 else None,
+        round(force_n, 4) if force_n < load_n else None,
+        round(1e3 * place_m, 3) if place_m < _OF_RANGE * range_std_m else None,
     )

@@ -52,8 +52,10 @@ def guessed_machine_file(path: Path) -> str:
         lines += _joints_line(are_held)
         lines += ["sensors:", "  tension:"]
         lines += _channel_lines(model, {t: drawn.get(t, -1) for t in tendons}, of_tendons=True)
-        if are_held and drawn:
-            lines += ["cables:", f"  pretension_n: {_PRETENSION_N:g}  # in the model's first pose"]
+        if drawn:
+            whose = "" if are_held else ", of simulated ones"
+            pose = f"in the model's first pose{whose}"
+            lines += ["cables:", f"  pretension_n: {_PRETENSION_N:g}  # {pose}"]
     else:
         lines += _joints_line(False)
         lines += ["sensors:", "  torque:"]
@@ -128,7 +130,7 @@ def _touched_lines(model: mujoco.MjModel) -> list[str]:
             continue
         start, end, radius_m = axis
         ends = ", ".join(
-            f"{key}: [{', '.join(f'{round(x, 5):g}' for x in place.tolist())}]"
+            f"{key}: [{', '.join(f'{round(x, 5) + 0.0:g}' for x in place.tolist())}]"
             for key, place in (("start_m", start), ("end_m", end))
         )
         lines.append(f"    - {{link: {name}, {ends}, radius_m: {radius_m:.3g}}}")

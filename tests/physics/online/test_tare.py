@@ -5,6 +5,8 @@ import pytest
 from estimation_settings import estimation_settings
 
 from cablesense_contact.felt_arm import FeltArm
+from cablesense_contact.machine.felt_model import FeltModel
+from cablesense_contact.machine.law import MachineLaw
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.contact_estimator import EstimationState
 from cablesense_online.motion import MotionGate
@@ -15,6 +17,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.law.build import TorchLaw
+from cablesense_training.law.machine import TorchStater
+from tests.helpers.example_machines import written_machine
 
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
@@ -104,7 +108,7 @@ def test_readings_of_a_loaded_arm_are_refused_with_what_they_would_mean(law):
         arm.take()
     assert "tare_force" in str(refused.value)
     forced = arm.take(forced=True)
-    assert forced.misfit_n[4] == pytest.approx(20.0, abs=1.0)
+    assert forced.misfit[4] == pytest.approx(20.0, abs=1.0)
 
 
 def test_tares_are_undone_one_by_one(law):
@@ -122,10 +126,57 @@ def test_tares_are_undone_one_by_one(law):
     assert arm.state.calibration == untared
     with pytest.raises(TareError, match="nothing to undo"):
         arm.undo()
-    line = tare_undone_line(first, None, ARM.cable_names, 0)
+    line = tare_undone_line(first, None, FeltArm(ARM), 0)
     assert line.endswith("there is none now")
-    line = tare_undone_line(first, first, ARM.cable_names, 1, replaced=True)
+    line = tare_undone_line(first, first, FeltArm(ARM), 1, replaced=True)
     assert "it was the only one, so another took its place at " in line
+    assert "cable_12 " in line
+
+
+MOTORS = """
+<mujoco>
+  <worldbody>
+    <site name="left" pos="0 0.03 0"/>
+    <site name="right" pos="0 -0.03 0"/>
+    <body name="link" pos="0.02 0 0">
+      <joint name="turn" axis="0 0 1" range="-40 40"/>
+      <geom type="capsule" fromto="0.01 0 0 0.2 0 0" size="0.01" mass="0.1"/>
+      <site name="left_end" pos="0.1 0.02 0"/>
+      <site name="right_end" pos="0.1 -0.02 0"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="left"><site site="left"/><site site="left_end"/></spatial>
+    <spatial name="right"><site site="right"/><site site="right_end"/></spatial>
+  </tendon>
+  <actuator>
+    <motor tendon="left" ctrlrange="-100 0"/>
+    <motor tendon="right" ctrlrange="-100 0"/>
+  </actuator>
+</mujoco>
+"""
+MEASURED = """
+joints: measured
+sensors:
+  tension: {of: [left, right], noise_std: 0.05}
+touch:
+  largest_n: 20
+  links:
+    - {link: link, start_m: [0.01, 0, 0], end_m: [0.2, 0, 0], radius_m: 0.01}
+"""
+
+
+def test_a_tare_of_more_tendons_than_joints_is_described_by_the_joints(tmp_path):
+    """What is observed of a machine whose joints are measured is the balance of each joint."""
+    machine = written_machine(tmp_path, MOTORS, MEASURED)
+    felt = FeltModel(machine)
+    law = MachineLaw(machine, TorchStater(machine))
+    arm = Tared(CalibratedArm(felt, law, SETTINGS))
+    arm.state = arm.arm.at(arm.state, felt.first_command)
+    for _ in range(SETTINGS.tare_samples):
+        arm.add(np.array([10.0, 10.0]))
+    described = arm.take().described(felt)
+    assert "left 10.00, right 10.00; joints' torques within " in described
 
 
 def test_a_loaded_calibration_needs_no_tare_and_can_be_replaced(law):
