@@ -330,25 +330,29 @@ class RobotSystem(System):
         """Channels that have the opposite sign of the model's.
 
         Offset and friction are fitted to both first: they may dominate a torque, and the model
-        need not have them.
+        need not have them. So may the inertia of a rotor, which is positive: a channel counts as
+        reversed if the model explains it better with the other sign, each with a rotor's inertia.
         """
         motion = self.motion
         predicted = self.predict([{}])[0]
         nuisances = np.ones_like(motion.speed), motion.speed, motion.direction
         of_joints = np.stack([motion.compared(each) for each in nuisances], axis=-1)
+        accelerations = motion.compared(motion.acceleration)
         complaints = []
         for c, name in enumerate(self.comparison.names):
-            joint_nuisances = of_joints[:, self.robot.joints.index(name)]
-            channel_pair = np.column_stack([self.readings[:, c], predicted[:, c]])
-            channel_pair -= (
-                joint_nuisances @ np.linalg.lstsq(joint_nuisances, channel_pair, rcond=None)[0]
+            joint = self.robot.joints.index(name)
+            joint_nuisances = of_joints[:, joint]
+            columns = np.column_stack(
+                [self.readings[:, c], predicted[:, c], accelerations[:, joint]]
             )
-            measured, modelled = np.linalg.norm(channel_pair, axis=0)
-            judged = modelled > _JUDGED * np.linalg.norm(predicted[:, c])
-            if (
-                judged
-                and channel_pair[:, 0] @ channel_pair[:, 1] < -_AGAINST * measured * modelled
-            ):
+            columns -= joint_nuisances @ np.linalg.lstsq(joint_nuisances, columns, rcond=None)[0]
+            measured, modelled, acceleration = columns.T
+            sizes = np.linalg.norm(measured) * np.linalg.norm(modelled)
+            is_judged = np.linalg.norm(modelled) > _JUDGED * np.linalg.norm(predicted[:, c])
+            is_against = measured @ modelled < -_AGAINST * sizes
+            left = _left_with_rotor(measured - modelled, acceleration)
+            left_reversed = _left_with_rotor(-measured - modelled, acceleration)
+            if is_judged and is_against and left_reversed < left:
                 complaints.append(
                     f"{self.comparison.columns[c]} looks as if it had the other sign"
                 )
@@ -538,6 +542,13 @@ def _judged_earlier(robot: Robot, motion: Motion, beside: Assignment) -> tuple[E
     sized = {t[:2] for t in beside if t in ranges and ranges[t].role == "size"}
     listed = {t: value for t, value in beside.items() if t in ranges and t[:2] in sized}
     return judged(problem_of(system), listed)[1] if listed else ()
+
+
+def _left_with_rotor(torque: Array, acceleration: Array) -> float:
+    """Norm of a torque (Q,) that a rotor's inertia, zero or more, does not explain."""
+    square = float(acceleration @ acceleration)
+    inertia = max(float(torque @ acceleration) / square, 0.0) if square > 0.0 else 0.0
+    return float(np.linalg.norm(torque - inertia * acceleration))
 
 
 def _refuse(recording: RobotRecording, suspect: Sequence[str]) -> None:

@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from robot_sets import KINDS
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
+from cablesense_plants.robot.cases import draw_case, record
+from cablesense_plants.robot.causes import LISTED, UNLISTED
 from cablesense_recording.recording import RecordingError
 from tests.helpers.two_link import motion, torques, write_model
 
+ROTOR_SEED = 8109
 LAST = np.array([1.0, -1.0])
 SWAPPED = [1, 0]
 
@@ -114,3 +118,15 @@ def test_the_unit_of_a_joint_without_torque_in_the_model_is_no_question(robot):
     weak[:, 1] *= 1e-4
     system.predict = lambda _variants: weak[None]  # the model's elbow has about no torque
     assert system.doubtful() == []
+
+
+def test_a_rotor_that_dominates_a_torque_is_no_reversed_one(tmp_path):
+    """Of a finger's base: its torque has the sign of the acceleration, against that of gravity."""
+    case = draw_case(KINDS["finger"], ["rotor_inertia"], ROTOR_SEED, 24, [LISTED, UNLISTED])
+    record([case], tmp_path)
+    finger = load_robot(case.kind.path)
+    recording = read_recording(tmp_path / f"{case.answer.recording}.csv.gz", finger)
+    assert wrong_columns(recording, finger) == []
+    base = RobotSystem(finger, prepared(recording, finger), {})
+    predicted = base.predict([{}])[0][:, 0]
+    assert base.readings[:, 0] @ predicted < 0.0
