@@ -30,6 +30,7 @@ from cablesense_gap.robot.motion import Motion, MotionComparison
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.signs import is_reversed
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.system import FOLDS, Altered, System, Unlisted, problem_of
 from cablesense_gap.verdict import (
@@ -46,9 +47,6 @@ from cablesense_recording.recording import RecordingError
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
-_AGAINST = 0.7
-"""Correlation with the negative of the model's torque above which a channel counts as reversed: an
-imperfect model's may be somewhat negative."""
 _JUDGED = 0.1
 """A channel is judged if at least this share of the model's torque is left beyond an offset and
 friction."""
@@ -330,8 +328,7 @@ class RobotSystem(System):
         """Channels that have the opposite sign of the model's.
 
         Offset and friction are fitted to both first: they may dominate a torque, and the model
-        need not have them. So may the inertia of a rotor, which is positive: a channel counts as
-        reversed if the model explains it better with the other sign, each with a rotor's inertia.
+        need not have them.
         """
         motion = self.motion
         predicted = self.predict([{}])[0]
@@ -347,12 +344,8 @@ class RobotSystem(System):
             )
             columns -= joint_nuisances @ np.linalg.lstsq(joint_nuisances, columns, rcond=None)[0]
             measured, modelled, acceleration = columns.T
-            sizes = np.linalg.norm(measured) * np.linalg.norm(modelled)
             is_judged = np.linalg.norm(modelled) > _JUDGED * np.linalg.norm(predicted[:, c])
-            is_against = measured @ modelled < -_AGAINST * sizes
-            left = _left_with_rotor(measured - modelled, acceleration)
-            left_reversed = _left_with_rotor(-measured - modelled, acceleration)
-            if is_judged and is_against and left_reversed < left:
+            if is_judged and is_reversed(measured, modelled, acceleration):
                 complaints.append(
                     f"{self.comparison.columns[c]} looks as if it had the other sign"
                 )
@@ -542,13 +535,6 @@ def _judged_earlier(robot: Robot, motion: Motion, beside: Assignment) -> tuple[E
     sized = {t[:2] for t in beside if t in ranges and ranges[t].role == "size"}
     listed = {t: value for t, value in beside.items() if t in ranges and t[:2] in sized}
     return judged(problem_of(system), listed)[1] if listed else ()
-
-
-def _left_with_rotor(torque: Array, acceleration: Array) -> float:
-    """Norm of a torque (Q,) that a rotor's inertia, zero or more, does not explain."""
-    square = float(acceleration @ acceleration)
-    inertia = max(float(torque @ acceleration) / square, 0.0) if square > 0.0 else 0.0
-    return float(np.linalg.norm(torque - inertia * acceleration))
 
 
 def _refuse(recording: RobotRecording, suspect: Sequence[str]) -> None:

@@ -4,18 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robot_sets import KINDS
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.signs import is_reversed
 from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
-from cablesense_plants.robot.cases import draw_case, record
-from cablesense_plants.robot.causes import LISTED, UNLISTED
 from cablesense_recording.recording import RecordingError
 from tests.helpers.two_link import motion, torques, write_model
 
-ROTOR_SEED = 8109
 LAST = np.array([1.0, -1.0])
 SWAPPED = [1, 0]
 
@@ -120,13 +117,19 @@ def test_the_unit_of_a_joint_without_torque_in_the_model_is_no_question(robot):
     assert system.doubtful() == []
 
 
-def test_a_rotor_that_dominates_a_torque_is_no_reversed_one(tmp_path):
-    """Of a finger's base: its torque has the sign of the acceleration, against that of gravity."""
-    case = draw_case(KINDS["finger"], ["rotor_inertia"], ROTOR_SEED, 24, [LISTED, UNLISTED])
-    record([case], tmp_path)
-    finger = load_robot(case.kind.path)
-    recording = read_recording(tmp_path / f"{case.answer.recording}.csv.gz", finger)
-    assert wrong_columns(recording, finger) == []
-    base = RobotSystem(finger, prepared(recording, finger), {})
-    predicted = base.predict([{}])[0][:, 0]
-    assert base.readings[:, 0] @ predicted < 0.0
+def swinging_pendulum(inertia_kg_m2):
+    """Torque and acceleration of a pendulum that swings slower than it would by itself."""
+    time_s = np.arange(0.0, 10.0, 0.01)
+    angle = 0.3 * np.sin(3.0 * time_s) + 0.1 * np.sin(4.7 * time_s)
+    acceleration = -2.7 * np.sin(3.0 * time_s) - 2.209 * np.sin(4.7 * time_s)
+    stiffness_n_m = 2.0
+    return stiffness_n_m * np.sin(angle) + inertia_kg_m2 * acceleration, acceleration
+
+
+@pytest.mark.parametrize("rotor_kg_m2", [0.0, 0.1, 0.5, 3.0])
+def test_a_rotor_that_turns_the_sign_of_a_torque_is_no_reversal(rotor_kg_m2):
+    modelled, acceleration = swinging_pendulum(0.02)
+    measured, _ = swinging_pendulum(0.02 + rotor_kg_m2)
+    assert not is_reversed(measured, modelled, acceleration)
+    assert (measured @ modelled < 0.0) == (rotor_kg_m2 > 0.3)
+    assert is_reversed(-modelled, modelled, acceleration)
