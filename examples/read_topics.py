@@ -1,4 +1,4 @@
-"""Reads the estimator's topics: what each wrench means, and the force while it is known.
+"""Reads the estimator's topics: what each wrench means, and the force that belongs to it.
 
     python -m examples.read_topics  # while `cablesense demo` runs, in its ROS_DOMAIN_ID
 
@@ -30,6 +30,7 @@ class ReadTopics(Node):
     def __init__(self, name: str = "read_topics") -> None:
         super().__init__(name)
         self.state = "silent"
+        self.rival = ""
         self.wrench = WrenchStamped()
         self.listen(WrenchStamped, "estimator/wrench", self._on_wrench)
         self.listen(DiagnosticArray, "estimator/status", self._on_status)
@@ -46,17 +47,20 @@ class ReadTopics(Node):
 
     def line(self) -> str:
         """State and force as text; a zero wrench alone does not say that nothing touches."""
-        if self.state != "contact":
+        if self.state not in ("contact", "unconfirmed"):
             return self.state
         force = self.wrench.wrench.force
         frame = self.wrench.header.frame_id
-        return f"contact on {frame}: ({force.x:.2f}, {force.y:.2f}, {force.z:.2f}) N"
+        line = f"{self.state} on {frame}: ({force.x:.2f}, {force.y:.2f}, {force.z:.2f}) N"
+        return f"{line}, or: {self.rival}" if self.rival else line
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         self.wrench = message
 
     def _on_status(self, message: DiagnosticArray) -> None:
-        self.state = message.status[0].message
+        status = message.status[0]
+        self.state = status.message
+        self.rival = next((pair.value for pair in status.values if pair.key == "or"), "")
 
 
 def spin(make_node: Callable[[], Node]) -> int:

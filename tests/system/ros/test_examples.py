@@ -1,5 +1,8 @@
 """The examples that need nodes: each runs, and the controllers stop when they must."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -10,6 +13,7 @@ from cablesense_msgs_py.messages import ForceState
 from cablesense_sim.arm import open_arm
 from examples import admittance
 from examples.back_off import LIMIT_RAD, THRESHOLD_N
+from tests.helpers.checkout import CHECKOUT
 
 JOINTS = list(open_arm("cdsm").joint_names)
 
@@ -27,7 +31,8 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     graph.command.publish(straight)  # or the first step drops the tare
     graph.until(lambda: commands, "the command")
     commands.clear()
-    graph.push(3, (0.0, 0.75 * THRESHOLD_N, 0.0))
+    pushed = ("segment_3", "0", f"{0.75 * THRESHOLD_N:g}", "0")
+    subprocess.run((sys.executable, "-m", "examples.push", *pushed), cwd=CHECKOUT, check=True)
     graph.until(lambda: "contact on segment_3: (" in reader.log, "the contact, read")
     graph.until(lambda: "contact on segment_3: (" in controller.log, "the contact, controlled")
     assert not commands
