@@ -326,8 +326,8 @@ def find_arm(name_or_path: str | Path) -> Path:
     if path.suffix.lower() in _OTHER_MODELS and os.path.isfile(path):  # noqa: PTH113
         raise ArmFileError(
             f"{path}: is a model of any machine, and no arm file: cablesense gap diagnose, adapt, "
-            "predict, protocol and watch take it as --model; all else needs an arm file "
-            "(cablesense info --template)"
+            "predict, protocol and watch take it as --model; all else takes a machine file, which "
+            f"`cablesense machine {path}` writes, or an arm file (cablesense info --template)"
         )
     return _BUNDLED.find(name_or_path)
 
