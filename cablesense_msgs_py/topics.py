@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from cablesense_base import CableSenseError
+from cablesense_base import CableSenseError, some_of
 
 CABLE_TENSIONS: Final = "cable_tensions"
 """`sensor_msgs/JointState`: `name` cable_1 … cable_M, `effort` in N, stamped with the time of the
@@ -134,7 +134,6 @@ class Frames:
         frames = [self.segment(number) for number in range(1, self.segment_count + 1)]
         if frame_id not in frames:
             raise ContractError(
-                f"header.frame_id is {frame_id[:40]!r}; it must be one of {self.segment(1)} … "
-                f"{self.segment(self.segment_count)}"
+                f"header.frame_id is {frame_id[:40]!r}; it must be one of {some_of(frames)}"
             )
         return 1 + frames.index(frame_id)

@@ -215,7 +215,7 @@ def motion_status(
     elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
         message = f"beyond the poses that the model is for (±{pose_range_deg:g} degrees)"
     elif not state.is_commanded:
-        message = "none received: arm assumed to be straight"
+        message = "none received: assumed to be in its first pose (an arm: straight)"
     else:
         level = Level.OK
         message = "at rest"
