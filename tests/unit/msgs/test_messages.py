@@ -166,7 +166,7 @@ def test_nothing_is_released_in_the_base_frame():
         ({"force": (1e6, 0.0, 0.0)}, "at most 2000 N"),
         ({"torque": (0.0, 0.1, 0.0)}, "must be zero"),
         ({"torque": (0.0, math.nan, 0.0)}, "must be zero"),
-        ({"frame": "segment_9"}, "segment_1 … segment_4"),
+        ({"frame": "segment_9"}, "segment_1, segment_2, segment_3, segment_4"),
     ],
 )
 def test_refuses_what_is_no_load(wrong, complaint):
