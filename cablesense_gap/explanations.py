@@ -138,7 +138,7 @@ def explanations(
         progress("separating what is unlisted", 0.97)
         weighed += _in_extents(system, problem, hypotheses, calibration)
     while True:
-        ranked = named(problem, _merged(weighed))
+        ranked = named(problem, _merged(weighed), calibration)
         best = _likeliest(weighed, ranked[0].effects)
         if not best.fitted.effects or removes(best.problem, best.fitted):
             return _answer(weighed, ranked, best)

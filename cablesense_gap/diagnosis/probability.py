@@ -24,8 +24,8 @@ manufacturing allows.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 import numpy as np
@@ -44,6 +44,16 @@ EQUAL = 0.9
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
 
+YIELDED = 0.5
+"""The largest probability of effects that are named although an unlisted one is more probable."""
+_SEVERAL_LEFT = 0.4
+"""Share of the gap that three or more effects may leave to be named although an unlisted effect is
+more probable."""
+_AGAINST_MOTION_LEFT = 0.7
+"""The same of effects of which one turns round with the motion: no static effect makes loading and
+unloading differ."""
+_NEEDED_COST_RATIO = 1.6
+"""Leaving one of these effects out must make the cost larger by this factor."""
 _RIDGE = 1e-6
 """Of the diagonal of a Gram matrix: keeps columns that are alike from an exact zero."""
 
@@ -227,19 +237,37 @@ def _in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
     return sorted(ranked, key=rank)
 
 
-def named(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
+def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
     """The hypotheses, first the one that the verdict names.
 
     This is the most probable one. An unlisted effect alone must be more probable than all
-    hypotheses together that the recording cannot distinguish from the best.
+    hypotheses together that the recording cannot distinguish from the best. It also yields to a
+    hypothesis that explains more than it leaves: one with several effects, or with an effect that
+    depends on history or on the direction of motion. No machine equals its model, so an unlisted
+    effect always acts; such a hypothesis is named with a probability of at most `YIELDED`.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
     together = imitating_best(problem, ranked)
-    if sum(each.probability for each in together) <= first.probability:
+    if sum(each.probability for each in together) > first.probability:
+        return [together[0], *(each for each in ranked if each is not together[0])]
+    fitted = {frozenset(h.effects): h for r in ranked if (h := r.hypothesis)}
+    supported = [
+        (problem.cost_of(each.hypothesis), k, ratios)
+        for k, each in enumerate(ranked)
+        if each.hypothesis and (ratios := _support(problem, fitted, each.hypothesis))
+    ]
+    if not supported:
         return list(ranked)
-    return [together[0], *(each for each in ranked if each is not together[0])]
+    _, k, ratios = min(supported)
+    odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
+    needed = float(np.prod(1.0 / (1.0 + np.exp(-odds))))
+    probability = min(ranked[k].probability + needed * first.probability, YIELDED)
+    moved = max(probability - ranked[k].probability, 0.0)
+    chosen = replace(ranked[k], probability=ranked[k].probability + moved)
+    rest = [*ranked[1:k], *ranked[k + 1 :]]
+    return [chosen, *rest, replace(first, probability=first.probability - moved)]
 
 
 def imitating_best(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
@@ -252,6 +280,37 @@ def imitating_best(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
         or min(imitated_share(problem, h, fitted[0][1]), imitated_share(problem, fitted[0][1], h))
         >= PARALLEL
     ]
+
+
+def _support(
+    problem: Problem, fitted: Mapping[frozenset[str], Hypothesis], whole: Hypothesis
+) -> dict[str, float]:
+    """The factor by which the cost grows without each of the effects of a hypothesis.
+
+    Empty unless it explains more than it leaves and needs each of its effects.
+    """
+    candidates = problem.simulator.candidates
+    past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
+    gap, rest = (
+        noise_corrected_rms(h.held_out_rmse**2, problem.floor)
+        for h in (fitted[frozenset()], whole)
+    )
+    whole_effects = frozenset(whole.effects)
+    if whole_effects & past:
+        enough = rest <= _AGAINST_MOTION_LEFT * gap
+    else:
+        enough = len(whole_effects) > 2 and rest <= _SEVERAL_LEFT * gap
+    costs = {effects: problem.cost_of(h) for effects, h in fitted.items()}
+    ratios = {
+        effect: min(cost for effects, cost in costs.items() if effects <= whole_effects - {effect})
+        / costs[whole_effects]
+        for effect in whole.effects
+    }
+    needed = (
+        ratio >= (1.0 / _AGAINST_MOTION_LEFT if effect in past else _NEEDED_COST_RATIO)
+        for effect, ratio in ratios.items()
+    )
+    return ratios if enough and all(needed) else {}
 
 
 def log_weights(

@@ -205,7 +205,9 @@ def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimat
 def test_a_load_that_is_none_is_refused_and_the_sim_goes_on(tared, sim):
     tared.push(9, (0.0, 40.0, 0.0))
     tared.push(2, (0.0, math.nan, 0.0))
-    tared.until(lambda: "segment_1, segment_2, segment_3, segment_4" in sim.log, "the refusal in the log")
+    tared.until(
+        lambda: "segment_1, segment_2, segment_3, segment_4" in sim.log, "the refusal in the log"
+    )
     count = len(tared.tensions)
     tared.until(lambda: len(tared.tensions) > count + 20, "tensions to go on")
     tared.until(lambda: tared.wrenches, "wrenches to go on")

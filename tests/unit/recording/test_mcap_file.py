@@ -182,7 +182,10 @@ def test_a_folder_with_metadata_is_read_too(tmp_path):
         ([COMMAND, ("tensions", LAB.cable_names[:9], [1.0] * 9)], "message 1: .*'cable_10'"),
         ([COMMAND, TENSIONS, ("tensions", LAB.cable_names, [1.0])], "tensions, message 2: effort"),
         ([("command", LAB.joint_names, [10.0] * 8), TENSIONS], "joint_commands, message 1"),
-        ([COMMAND, TENSIONS, ("load", "segment_7", (1.0, 0.0, 0.0))], "segment_1, segment_2, segment_3, segment_4"),
+        (
+            [COMMAND, TENSIONS, ("load", "segment_7", (1.0, 0.0, 0.0))],
+            "segment_1, segment_2, segment_3, segment_4",
+        ),
         (
             [
                 COMMAND,
