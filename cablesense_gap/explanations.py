@@ -32,6 +32,7 @@ from cablesense_gap.diagnosis.probability import (
     UNKNOWN,
     ProbabilityCalibration,
     Ranked,
+    in_order,
     log_weight_beside_unlisted,
     log_weights_alone,
     log_weights_beside_unlisted,
@@ -234,7 +235,7 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
 
 
 def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
-    """Each set of effects with its probability, the most probable first."""
+    """Each set of effects with its probability, in the order of `in_order`."""
     probabilities = _probabilities(weighed)
     total: dict[tuple[str, ...], float] = {}
     for each, probability in zip(weighed, probabilities, strict=True):
@@ -247,7 +248,7 @@ def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
             best = _likeliest(weighed, name)
             is_beside = best.extent is not None
             ranked.append(Ranked(name, probability, best.whole, remainder=is_beside))
-    return sorted(ranked, key=lambda each: -each.probability)
+    return in_order(ranked)
 
 
 def _likeliest(weighed: Sequence[_Explanation], name: tuple[str, ...]) -> _Explanation:

@@ -111,7 +111,7 @@ def posterior(
         for h, share in zip(hypotheses, shares, strict=False)
     ]
     ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    return _in_order(ranked)
+    return in_order(ranked)
 
 
 def log_weights_beside_unlisted(
@@ -225,7 +225,7 @@ def _log_weights_of(
     )
 
 
-def _in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
+def in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
     """The most probable first; those that are about as probable by what they leave."""
     least = EQUAL * max(each.probability for each in ranked)
 
