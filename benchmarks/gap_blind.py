@@ -70,7 +70,7 @@ _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 def main() -> None:
     """Draws, diagnoses, scores and prints; keeps the scores with `--write`."""
-    names = "gap_blind.json, …_friction, …_several, gap_speed.json, gap_exchanged, FOLDER.json"
+    names = "gap_blind.json, …_friction, …_several, gap_speed….json, gap_exchanged, FOLDER.json"
     parser = blind_sets.parser(__doc__, names, seed=9108)
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
     parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
@@ -89,7 +89,8 @@ def main() -> None:
         diagnoses = [
             _speed(effect, options.seed, options.rate_hz) for effect in options.speed.split(",")
         ]
-        name = "gap_speed.json"
+        usual = options.rate_hz == parser.get_default("rate_hz")
+        name = "gap_speed.json" if usual else f"gap_speed_{options.rate_hz:g}_hz.json"
         figures = {"diagnoses": diagnoses}
     elif options.recordings:
         name = f"{options.recordings.resolve().name}.json"
