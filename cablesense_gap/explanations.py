@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablesense_base import Array
 from cablesense_gap.diagnosis import fitting
 from cablesense_gap.diagnosis.extent import (
     Extent,
@@ -74,10 +75,10 @@ class Beside:
         best = self.ranked[0].hypothesis
         if self.extent.is_whole or best is None:
             return False
-        left = (self.problem.readings - best.held_out)[self.problem.used]
+        residual = (self.problem.readings - best.held_out)[self.problem.used]
         return all(
             probability_unlisted(float(rmse), self.problem.floor, calibration) < 0.5
-            for rmse in np.sqrt((left**2).mean(0))
+            for rmse in np.sqrt((residual**2).mean(0))
         )
 
 
@@ -126,7 +127,7 @@ def explanations(
     calibration: ProbabilityCalibration,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Explanations:
-    """The explanations by the hypotheses of a search, the one without effects among them.
+    """The explanations by the hypotheses of a search, the one without effects first.
 
     Extents are looked for if the most probable hypothesis leaves more than it would alone.
     """
@@ -169,9 +170,9 @@ def _everywhere(
 ) -> list[_Explanation]:
     """Beside something unlisted that acts in all readings."""
     extent = Extent.whole(problem)
-    left = np.array([h.held_out_rmse for h in hypotheses])
+    unlisted_rmse = np.array([h.held_out_rmse for h in hypotheses])
     weights = log_weights_beside_unlisted(
-        hypotheses, left, extent.share, extent.log_choices, problem.floor, calibration
+        hypotheses, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
     )
     return [
         _Explanation(float(weight), h, h, extent, problem)
@@ -195,9 +196,9 @@ def _in_extents(
         fitted = system.completed(others, _hypotheses(others, each, hypotheses))
         whole = [over_all_readings(problem, extent, h) for h in fitted]
         acts = extent.readings(problem)
-        left = np.array([_rms((problem.readings - h.held_out)[acts]) for h in whole])
+        unlisted_rmse = np.array([_rms((problem.readings - h.held_out)[acts]) for h in whole])
         weights = log_weights_beside_unlisted(
-            fitted, left, extent.share, extent.log_choices, problem.floor, calibration
+            fitted, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
         )
         weighed.extend(
             _Explanation(float(weight), one, over_all, extent, others)
@@ -223,15 +224,12 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
             calibration,
         )
 
-    nothing = weight(screened.without_effects.held_out_rmse, 0, 0)
-    return max(
-        nothing,
-        *(
-            weight(float(np.hypot(p.forecast, problem.floor)), len(p.effects), len(p.coefficients))
-            for p in screened.proposals[:_PROPOSED]
-        ),
-        -np.inf,
-    )
+    nothing_listed = weight(screened.without_effects.held_out_rmse, 0, 0)
+    listed = [
+        weight(float(np.hypot(p.forecast, problem.floor)), len(p.effects), len(p.coefficients))
+        for p in screened.proposals[:_PROPOSED]
+    ]
+    return max([nothing_listed, *listed])
 
 
 def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
@@ -300,12 +298,12 @@ def _hypotheses(
 
     keep(chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_PROPOSED]))
     kept = ~screened.extent.channels
-    left = {
+    mean_square = {
         k: float(((problem.readings - h.held_out[:, kept])[problem.used] ** 2).mean())
         for k, h in enumerate(known)
         if h.effects and h.effects not in best
     }
-    for k in sorted(left, key=lambda k: left[k])[:_KNOWN]:
+    for k in sorted(mean_square, key=lambda k: mean_square[k])[:_KNOWN]:
         keep([fitting.refit(problem, known[k].values, _STEPS)])
     if best:
         first = min(best.values(), key=problem.score)
@@ -322,5 +320,5 @@ def _hypotheses(
     return [without_effects, *worth_it]
 
 
-def _rms(values: np.ndarray) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))

@@ -88,6 +88,13 @@ class CalibratedState(UnloadedState[Calibration]):
         return replace(self, way=self.way.forgotten)
 
 
+class _Update(NamedTuple):
+    """A calibration after a tare, and by how much its observations were unexpected (`Tare`)."""
+
+    calibration: Calibration
+    misfit: Array
+
+
 class CalibratedArm:
     """The unloaded state of a machine with a law; an `UnloadedArm`."""
 
@@ -131,10 +138,10 @@ class CalibratedArm:
                 those of the untouched arm.
         """
         unloaded = unloaded_reading(state, self._settings, now_ns, state.way.came_from_rad)
-        calibration, misfit = self._updated(state.calibration, unloaded, forced=forced)
-        tare = Tare(unloaded, by_itself, misfit)
+        update = self._updated(state.calibration, unloaded, forced=forced)
+        tare = Tare(unloaded, by_itself, update.misfit)
         return replace(
-            self._with_calibration(state, calibration),
+            self._with_calibration(state, update.calibration),
             automatic=False,
             tares=(*state.tares, tare),
             earlier=(*state.earlier, state.calibration)[-MOST_KEPT:],
@@ -262,10 +269,8 @@ class CalibratedArm:
         belief = self._slides.carried(known, slides)
         return replace(state, remembered=_Remembered(key, aged_ns, belief)), belief
 
-    def _updated(
-        self, calibration: Calibration, unloaded: Unloaded, *, forced: bool
-    ) -> tuple[Calibration, Array]:
-        """The calibration with a tare, and by how much its observations are unexpected."""
+    def _updated(self, calibration: Calibration, unloaded: Unloaded, *, forced: bool) -> _Update:
+        """The calibration with a tare."""
         present = self.calibrator.moved(calibration)
         seen = self._law(
             unloaded.reading_n[None],
@@ -280,4 +285,4 @@ class CalibratedArm:
             doubt = self._judge(seen, unloaded.reading_n).doubt
             what = f" It may be that {doubt}." if doubt else ""
             raise TareError(f"{error}.{what} Set tare_force to take it nevertheless") from error
-        return updated, seen.innovation_n[0]
+        return _Update(updated, seen.innovation_n[0])

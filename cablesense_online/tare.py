@@ -61,10 +61,10 @@ class Tare:
             off_n_m = np.abs(self.misfit).max()
             expected = f"joints' torques within {off_n_m:.2g} N·m of what was expected"
             return f"{taken}: {', '.join(readings)}; {expected}"
-        each = ", ".join(
+        deviations = ", ".join(
             f"{reading} ({off:+.2f})" for reading, off in zip(readings, self.misfit, strict=True)
         )
-        return f"{taken}; in N, with the deviation from what was expected: {each}"
+        return f"{taken}; in N, with the deviation from what was expected: {deviations}"
 
 
 Known = TypeVar("Known")

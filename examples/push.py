@@ -7,6 +7,7 @@ The load is a wrench in the frame of the link. It runs in the ROS_DOMAIN_ID of t
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 
@@ -41,13 +42,13 @@ def push(frame: str, x_n: float, y_n: float, z_n: float) -> bool:
 
 def main() -> int:
     """Reads the command line; exit code 1 if no simulator takes loads."""
-    if len(sys.argv) != 5:
-        print(__doc__)
-        return 2
-    frame = sys.argv[1]
-    force_n = [float(number) for number in sys.argv[2:]]
+    parser = argparse.ArgumentParser(description="Pushes a simulated arm or machine at a link.")
+    parser.add_argument("link", help="frame of the link that is pushed")
+    for axis in "xyz":
+        parser.add_argument(axis, type=float, help=f"force along {axis} of the base, N")
+    given = parser.parse_args()
     rclpy.init()
-    taken = push(frame, *force_n)
+    taken = push(given.link, given.x, given.y, given.z)
     rclpy.shutdown()
     if not taken:
         print("no simulator takes loads here: start one, and set its ROS_DOMAIN_ID")

@@ -12,7 +12,7 @@ imperfect model's may be somewhat negative."""
 
 
 def is_reversed(measured: Array, modelled: Array, acceleration: Array) -> bool:
-    """Whether a model explains a torque (Q,) better if the torque has the other sign.
+    """Whether a model explains a torque (Q,), N·m, better if the torque has the other sign.
 
     The inertia of a rotor, which a model need not have, may turn the sign of a torque that gravity
     dominates. It is positive, so it is fitted to the torque as it is, and to the reversed one.
@@ -20,12 +20,12 @@ def is_reversed(measured: Array, modelled: Array, acceleration: Array) -> bool:
     sizes = np.linalg.norm(measured) * np.linalg.norm(modelled)
     if measured @ modelled >= -_AGAINST * sizes:
         return False
-    left = _left_with_rotor(measured - modelled, acceleration)
-    left_reversed = _left_with_rotor(-measured - modelled, acceleration)
-    return left_reversed < left
+    residual = _residual_with_rotor(measured - modelled, acceleration)
+    reversed_residual = _residual_with_rotor(-measured - modelled, acceleration)
+    return reversed_residual < residual
 
 
-def _left_with_rotor(torque: Array, acceleration: Array) -> float:
+def _residual_with_rotor(torque: Array, acceleration: Array) -> float:
     """Norm of a torque (Q,) that a rotor's inertia, zero or more, does not explain."""
     square = float(acceleration @ acceleration)
     inertia = max(float(torque @ acceleration) / square, 0.0) if square > 0.0 else 0.0

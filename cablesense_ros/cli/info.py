@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -138,9 +138,11 @@ def info(
         lines = effect_lines(description)
     elif is_machine_file(file):
         refuse_given(context, ["blind", "picture", "bend_deg"], "of a machine file")
-        title, description, warning = _machine(file, load_n, observability=observability)
-        if warning and not json_output:
-            Console(stderr=True).print(warning, highlight=False, markup=False)
+        machine = _machine(file, load_n, observability=observability)
+        title = machine.title
+        description = machine.description
+        if machine.warning and not json_output:
+            Console(stderr=True).print(machine.warning, highlight=False, markup=False)
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
@@ -169,8 +171,15 @@ def info(
         print_result(title, description, json_output)
 
 
-def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Description, str]:
-    """Title, values and, where there is something to mend, a warning."""
+class _OfMachine(NamedTuple):
+    """What is printed of a machine; the warning is empty where there is nothing to mend."""
+
+    title: str
+    description: Description
+    warning: str
+
+
+def _machine(file: str, load_n: float, *, observability: bool) -> _OfMachine:
     from cablesense_ros.cli.machine_info import (
         machine_description,
         machine_observability,
@@ -180,9 +189,9 @@ def _machine(file: str, load_n: float, *, observability: bool) -> tuple[str, Des
 
     if observability:
         seen = machine_observability(file, load_n)
-        return "What one reading tells of a contact", seen, unseen_links(seen)
+        return _OfMachine("What one reading tells of a contact", seen, unseen_links(seen))
     described = machine_description(file)
-    return "Machine", described, weak_links(described)
+    return _OfMachine("Machine", described, weak_links(described))
 
 
 def urdf(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -139,9 +139,9 @@ def machine_observability(path: str, load_n: float) -> Description:
             by_place = force.force_n @ levers[3:]
             slope = seen.by_torque @ np.concatenate([by_force, by_place[None]]).T
             information = slope.T @ seen.information @ slope
-            force_n, place_mm = _deviations(information, load_n, axial_n, range_std_m)
-            row[f"{key}force_n"] = force_n
-            row[f"{key}place_mm"] = place_mm
+            bound = _bound(information, load_n, axial_n, range_std_m)
+            row[f"{key}force_n"] = bound.force_n
+            row[f"{key}place_mm"] = bound.place_mm
         rows.append(row)
     return {"kind": "observability", "file": path, "load_n": load_n, "links": rows}
 
@@ -159,19 +159,24 @@ def unseen_links(seen: Description) -> str:
     )
 
 
-def _deviations(
-    information: Any, load_n: float, axial_n: float, range_std_m: float
-) -> tuple[float | None, float | None]:
-    """Deviations of lateral force, N, and place, mm, by the information on (f, place).
+class _Bound(NamedTuple):
+    """Deviations of lateral force and place that no estimate is below.
 
     None where a reading tells nothing of them: of the force no more than its size, of the place no
     more than its range.
     """
+
+    force_n: float | None
+    place_mm: float | None
+
+
+def _bound(information: Any, load_n: float, axial_n: float, range_std_m: float) -> _Bound:
+    """By the information (4, 4) of a reading on force and place."""
     known = np.diag([axial_n**-2, 1e-6 * load_n**-2, 1e-6 * load_n**-2, range_std_m**-2])
     covariance = np.linalg.inv(information + known)
     force_n = float(np.sqrt(covariance[1, 1] + covariance[2, 2]))
     place_m = float(np.sqrt(covariance[3, 3]))
-    return (
-        round(force_n, 4) if force_n < load_n else None,
-        round(1e3 * place_m, 3) if place_m < _OF_RANGE * range_std_m else None,
+    return _Bound(
+        force_n=round(force_n, 4) if force_n < load_n else None,
+        place_mm=round(1e3 * place_m, 3) if place_m < _OF_RANGE * range_std_m else None,
     )

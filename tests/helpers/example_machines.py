@@ -44,3 +44,44 @@ def machine_with_friction(name: str, coefficient: float, folder: Path) -> Machin
     path = folder / f"{name}.yaml"
     path.write_text(changed.model_dump_json())
     return open_machine(path)
+
+
+def machine_of_two_motors(folder: Path, pretension_n: float, largest_n: float) -> Machine:
+    """A weightless hinge between two tendons with motors, 30 mm from it; its joint is measured."""
+    file = _TWO_MOTORS_FILE.format(pretension_n=pretension_n, largest_n=largest_n)
+    return written_machine(folder, _TWO_MOTORS, file)
+
+
+_TWO_MOTORS = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <site name="left" pos="0 0.03 0"/>
+    <site name="right" pos="0 -0.03 0"/>
+    <body name="link" pos="0.05 0 0">
+      <joint name="turn" axis="0 0 1" range="-40 40"/>
+      <geom type="capsule" fromto="0.01 0 0 0.2 0 0" size="0.01" mass="0.1"/>
+      <site name="left_end" pos="0.05 0.03 0"/>
+      <site name="right_end" pos="0.05 -0.03 0"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <spatial name="left"><site site="left"/><site site="left_end"/></spatial>
+    <spatial name="right"><site site="right"/><site site="right_end"/></spatial>
+  </tendon>
+  <actuator>
+    <motor tendon="left" ctrlrange="-100 0"/>
+    <motor tendon="right" ctrlrange="-100 0"/>
+  </actuator>
+</mujoco>
+"""
+_TWO_MOTORS_FILE = """
+joints: measured
+cables: {{pretension_n: {pretension_n}}}
+sensors:
+  tension: {{of: [left, right], noise_std: 0.05}}
+touch:
+  largest_n: {largest_n}
+  links:
+    - {{link: link, start_m: [0.01, 0, 0], end_m: [0.2, 0, 0], radius_m: 0.01}}
+"""

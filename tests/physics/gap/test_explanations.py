@@ -142,8 +142,10 @@ def test_beside_something_unlisted_effects_that_leave_less_weigh_more(floors, sh
         hypothesis(name, left=floors * FLOOR * share)
         for name, share in zip("abc", shares, strict=False)
     ]
-    left = np.array([h.held_out_rmse for h in [none, *listed]])
-    weights = log_weights_beside_unlisted([none, *listed], left, 1.0, 0.0, FLOOR, BUNDLED)[1:]
+    unlisted_rmse = np.array([h.held_out_rmse for h in [none, *listed]])
+    weights = log_weights_beside_unlisted(
+        [none, *listed], unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
+    )[1:]
     in_order = np.argsort([-h.held_out_rmse for h in listed])
     assert (np.diff(weights[in_order]) >= 0.0).all()
 
@@ -154,11 +156,11 @@ def test_an_extent_that_is_like_the_rest_says_no_more_than_all_readings(floors, 
     """Without a choice, and with as much left inside as outside, only κ₀ differs."""
     gain = hypothesis("gain", left=floors * FLOOR)
     none = hypothesis(left=floors * FLOOR)
-    left = np.full(2, floors * FLOOR)
+    unlisted_rmse = np.full(2, floors * FLOOR)
 
     def weight(share, log_choices):
         weights = log_weights_beside_unlisted(
-            [none, gain], left, share, log_choices, FLOOR, BUNDLED
+            [none, gain], unlisted_rmse, share, log_choices, FLOOR, BUNDLED
         )
         return weights[1]
 
@@ -172,7 +174,9 @@ def test_an_effect_that_removes_what_an_imitation_does_makes_no_unlisted_one_lik
     """Beside an unlisted effect that acts everywhere, and far beyond the floor."""
     none = hypothesis(left=1000.0 * FLOOR)
     imitation = hypothesis("gain", left=1000.0 * FLOOR * BUNDLED.share)
-    left = np.array([h.held_out_rmse for h in (none, imitation)])
-    alone, beside = log_weights_beside_unlisted([none, imitation], left, 1.0, 0.0, FLOOR, BUNDLED)
+    unlisted_rmse = np.array([h.held_out_rmse for h in (none, imitation)])
+    weights = log_weights_beside_unlisted(
+        [none, imitation], unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
+    )
     expected = -BUNDLED.one - BUNDLED.size * imitation.sizes
-    assert beside - alone == pytest.approx(expected, abs=1e-3)
+    assert weights[1] - weights[0] == pytest.approx(expected, abs=1e-3)

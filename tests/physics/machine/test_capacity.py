@@ -6,47 +6,13 @@ import pytest
 from cablesense_sim.machine.capacity import borne_n
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.simulated import SimulatedMachine
-from tests.helpers.example_machines import example_machine, written_machine
+from tests.helpers.example_machines import example_machine, machine_of_two_motors
 
 PRETENSION_N = 20.0
-PAIR = """
-<mujoco>
-  <option gravity="0 0 0"/>
-  <worldbody>
-    <site name="left" pos="0 0.03 0"/>
-    <site name="right" pos="0 -0.03 0"/>
-    <body name="link" pos="0.05 0 0">
-      <joint name="turn" axis="0 0 1" range="-40 40"/>
-      <geom type="capsule" fromto="0.01 0 0 0.2 0 0" size="0.01" mass="0.1"/>
-      <site name="left_end" pos="0.05 0.03 0"/>
-      <site name="right_end" pos="0.05 -0.03 0"/>
-    </body>
-  </worldbody>
-  <tendon>
-    <spatial name="left"><site site="left"/><site site="left_end"/></spatial>
-    <spatial name="right"><site site="right"/><site site="right_end"/></spatial>
-  </tendon>
-  <actuator>
-    <motor tendon="left" ctrlrange="-100 0"/>
-    <motor tendon="right" ctrlrange="-100 0"/>
-  </actuator>
-</mujoco>
-"""
-FILE = """
-joints: measured
-cables: {{pretension_n: {pretension_n}}}
-sensors:
-  tension: {{of: [left, right], noise_std: 0.05}}
-touch:
-  largest_n: {largest_n}
-  links:
-    - {{link: link, start_m: [0.01, 0, 0], end_m: [0.2, 0, 0], radius_m: 0.01}}
-"""
 
 
 def borne(folder, pretension_n, largest_n):
-    text = FILE.format(pretension_n=pretension_n, largest_n=largest_n)
-    machine = written_machine(folder, PAIR, text)
+    machine = machine_of_two_motors(folder, pretension_n, largest_n)
     parameters = MachineParameters(machine)
     simulated = SimulatedMachine(machine, parameters, np.zeros(len(parameters)))
     return borne_n(simulated, machine.reference)

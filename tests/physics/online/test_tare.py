@@ -18,7 +18,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law.machine import TorchStater
-from tests.helpers.example_machines import written_machine
+from tests.helpers.example_machines import machine_of_two_motors
 
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
@@ -133,42 +133,9 @@ def test_tares_are_undone_one_by_one(law):
     assert "cable_12 " in line
 
 
-MOTORS = """
-<mujoco>
-  <worldbody>
-    <site name="left" pos="0 0.03 0"/>
-    <site name="right" pos="0 -0.03 0"/>
-    <body name="link" pos="0.02 0 0">
-      <joint name="turn" axis="0 0 1" range="-40 40"/>
-      <geom type="capsule" fromto="0.01 0 0 0.2 0 0" size="0.01" mass="0.1"/>
-      <site name="left_end" pos="0.1 0.02 0"/>
-      <site name="right_end" pos="0.1 -0.02 0"/>
-    </body>
-  </worldbody>
-  <tendon>
-    <spatial name="left"><site site="left"/><site site="left_end"/></spatial>
-    <spatial name="right"><site site="right"/><site site="right_end"/></spatial>
-  </tendon>
-  <actuator>
-    <motor tendon="left" ctrlrange="-100 0"/>
-    <motor tendon="right" ctrlrange="-100 0"/>
-  </actuator>
-</mujoco>
-"""
-MEASURED = """
-joints: measured
-sensors:
-  tension: {of: [left, right], noise_std: 0.05}
-touch:
-  largest_n: 20
-  links:
-    - {link: link, start_m: [0.01, 0, 0], end_m: [0.2, 0, 0], radius_m: 0.01}
-"""
-
-
 def test_a_tare_of_more_tendons_than_joints_is_described_by_the_joints(tmp_path):
     """What is observed of a machine whose joints are measured is the balance of each joint."""
-    machine = written_machine(tmp_path, MOTORS, MEASURED)
+    machine = machine_of_two_motors(tmp_path, 10.0, 20.0)
     felt = FeltModel(machine)
     law = MachineLaw(machine, TorchStater(machine))
     arm = Tared(CalibratedArm(felt, law, SETTINGS))
