@@ -31,8 +31,13 @@ LOG_PRIOR_FAULT = math.log(1e-3)
 """That some channel is wrong now, against none: a fault a day lasts minutes until it is seen."""
 LOG_PRIOR_EXCHANGED = math.log(1e-4)
 """That two channels are exchanged: it happens when an arm is put together."""
-DOUBTED_ABOVE = 0.01
-"""A contact is not vouched for if the rivals together are more probable than this."""
+DOUBTED_ABOVE = 0.05
+"""A contact is not vouched for if the rivals together are more probable than this.
+
+It is then as sure as its intervals, which hold in 95 %. It must be above the priors of several
+contacts together: where a machine has so few joints that no reading could tell those from one
+contact, their probability stays what it was before the reading.
+"""
 IMPROBABLE = 1e-6
 """Probability of a misfit as large, below which a hypothesis does not explain a reading."""
 _CONTACT_NUMBERS = 4
