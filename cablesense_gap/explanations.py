@@ -140,7 +140,7 @@ def explanations(
         progress("separating what is unlisted", 0.97)
         weighed += _in_extents(system, problem, hypotheses, calibration)
     while True:
-        ranked = named(problem, _merged(weighed), calibration)
+        ranked = named(problem, _merged(weighed, problem.floor), calibration)
         best = _likeliest(weighed, ranked[0].effects)
         if not best.fitted.effects or removes(best.problem, best.fitted):
             return _answer(weighed, ranked, best)
@@ -232,7 +232,7 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
     return max([nothing_listed, *listed])
 
 
-def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
+def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
     """Each set of effects with its probability, in the order of `in_order`."""
     probabilities = _probabilities(weighed)
     total: dict[tuple[str, ...], float] = {}
@@ -246,7 +246,7 @@ def _merged(weighed: Sequence[_Explanation]) -> list[Ranked]:
             best = _likeliest(weighed, name)
             is_beside = best.extent is not None
             ranked.append(Ranked(name, probability, best.whole, remainder=is_beside))
-    return in_order(ranked)
+    return in_order(ranked, floor)
 
 
 def _likeliest(weighed: Sequence[_Explanation], name: tuple[str, ...]) -> _Explanation:

@@ -111,7 +111,7 @@ def posterior(
         for h, share in zip(hypotheses, shares, strict=False)
     ]
     ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    return in_order(ranked)
+    return in_order(ranked, floor)
 
 
 def log_weights_beside_unlisted(
@@ -225,14 +225,22 @@ def _log_weights_of(
     )
 
 
-def in_order(ranked: Sequence[Ranked]) -> list[Ranked]:
-    """The most probable first; those that are about as probable by what they leave."""
+def in_order(ranked: Sequence[Ranked], floor: float) -> list[Ranked]:
+    """The most probable first; those that are about as probable by what they leave.
+
+    Of those that leave no more than the floor, the one of fewer sizes: another that imitates it
+    has just the sizes that make it do so.
+    """
     least = EQUAL * max(each.probability for each in ranked)
 
-    def rank(each: Ranked) -> tuple[bool, float]:
-        held_out_rmse = each.hypothesis.held_out_rmse if each.hypothesis else np.inf
-        # residuals below the floor are not distinguished otherwise
-        return (False, held_out_rmse) if each.probability > least else (True, -each.probability)
+    def rank(each: Ranked) -> tuple[float, float, int, float]:
+        if each.probability <= least:
+            return 1.0 - each.probability, 0.0, 0, 0.0
+        if each.hypothesis is None:
+            return 0.0, np.inf, 0, np.inf
+        held_out_rmse = each.hypothesis.held_out_rmse
+        beyond_floor = noise_corrected_rms(held_out_rmse**2, floor)
+        return 0.0, beyond_floor, each.hypothesis.sizes, held_out_rmse
 
     return sorted(ranked, key=rank)
 

@@ -65,6 +65,13 @@ def test_of_two_that_reach_the_floor_the_one_that_leaves_less_is_first(better):
     assert posterior(hypotheses, FLOOR, BUNDLED)[0].effects == (better,)
 
 
+def test_of_two_that_reach_the_floor_the_one_with_fewer_sizes_is_first():
+    hypotheses = [leaving(10.0), replace(leaving(0.08, "a"), sizes=4), leaving(0.09, "b")]
+    ranked = posterior(hypotheses, FLOOR, BUNDLED)
+    assert [each.effects for each in ranked[:2]] == [("b",), ("a",)]
+    assert ranked[0].probability == pytest.approx(ranked[1].probability, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("none", "others", "first"),
     [
