@@ -89,11 +89,10 @@ class Tally:
                     self.false_n.append(float(np.hypot(*seen.force_n[row, 1:])))
             for number, contact in enumerate(case.contacts):
                 row = free + number
-                self._take(contact, seen.row(row), states[row])
+                self._take(contact, bench.felt_n(contact), seen.row(row), states[row])
         self.false_contacts.append(false)
 
-    def _take(self, contact: Contact, seen: Any, state: ContactState) -> None:
-        true_n = contact.lateral_n
+    def _take(self, contact: Contact, true_n: float, seen: Any, state: ContactState) -> None:
         right = int(seen.contact_evidence[0].argmax()) == contact.link
         self.right.append(right)
         self.answered.append(state in STATED)

@@ -198,16 +198,17 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
         low_n, high_n = seen.magnitude_ci95_n[0]
         start_m, end_m = seen.region_m[0]
         along_m = joint_m[contact.link] + contact.place_m
+        true_n = bench.felt_n(contact)
         lateral_n = float(np.hypot(*seen.force_n[0, 1:]))
         off_m = abs(joint_m[int(seen.contact_evidence[0].argmax())] + seen.place_m[0] - along_m)
         statements.append(
             Statement(
                 is_contact=answer.judgement.state is ContactState.CONTACT,
                 off_mm=1e3 * off_m,
-                off_share=abs(lateral_n - contact.lateral_n) / contact.lateral_n,
+                off_share=abs(lateral_n - true_n) / true_n,
                 in_region=start_m - 1e-6 <= along_m <= end_m + 1e-6,
-                in_force=low_n <= contact.lateral_n <= high_n,
-                half_width_share=0.5 * (high_n - low_n) / contact.lateral_n,
+                in_force=low_n <= true_n <= high_n,
+                half_width_share=0.5 * (high_n - low_n) / true_n,
             )
         )
     if not statements:

@@ -26,6 +26,7 @@ from cablesense_base import Array
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.model_file import open_machine_law
 from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.felt_directions import felt_across
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine, open_machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -93,6 +94,7 @@ class TouchedMachine:
         self._machine = machine
         self._kind = kind
         links = machine.links
+        self._felt_across = felt_across(machine)
         self._largest_n = machine.source.file.touch.largest_n
         self._size_m = 0.3 * float(np.median(links.radius_m))
         # pressed by the largest force, a servo gives way by half the obstacle's size
@@ -260,7 +262,7 @@ class TouchedMachine:
         else:
             drawn = machine.tendons.drawn_by[channels.tendon]
             values = -data.actuator_force[drawn] * machine.tendons.gear[channels.tendon]
-        lateral = axes[:, 1:].T @ force
+        lateral = self._felt_across[link] @ axes[:, 1:].T @ force
         return EngineContact(
             link, float((contact.pos - origin) @ along), float(np.hypot(*lateral)), values
         )

@@ -136,6 +136,7 @@ class Bench:
             export_machine(self.machine, path, "benchmarks/machines.py")
             self.law = open_machine_law(path, self.machine)
         felt = FeltModel(self.machine)
+        self.felt_across = felt.felt_across
         self.judge = Judge(felt)
         self.calibrator = Calibrator(felt, self.law)
         self.parameters = self.law.observer.parameters
@@ -231,8 +232,13 @@ class Bench:
             ]
         )
         covariance = np.linalg.inv(information + np.diag(spreads**-2))
-        across = np.array([0.0, y / lateral_n, z / lateral_n, 0.0, 0.0, 0.0])
+        felt = self.felt_across[contact.link] @ contact.force_n[1:]
+        across = np.concatenate([[0.0], felt / np.linalg.norm(felt), np.zeros(3)])
         return float(covariance[3, 3] ** 0.5), float((across @ covariance @ across) ** 0.5)
+
+    def felt_n(self, contact: Contact) -> float:
+        """Of a force across its link what the machine feels, which is what is stated."""
+        return float(np.linalg.norm(self.felt_across[contact.link] @ contact.force_n[1:]))
 
     def answers(self, readings: Array, commands: Array) -> LawOutput:
         """What the law states."""
@@ -258,7 +264,7 @@ class Bench:
         joint_m = np.cumsum(span_m) - links.touched_m[:, 1]
         true_link = np.array([sample.contact.link for sample in samples])
         true_place_m = np.array([sample.contact.place_m for sample in samples])
-        true_lateral_n = np.array([sample.contact.lateral_n for sample in samples])
+        true_lateral_n = np.array([self.felt_n(sample.contact) for sample in samples])
         states = [self.judge(seen.row(row), reading).state for row, reading in enumerate(readings)]
         return Stated(
             link=seen.contact_evidence.argmax(axis=1),

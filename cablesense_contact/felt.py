@@ -221,6 +221,16 @@ class FeltMachine(Protocol):
         ...
 
     @property
+    def felt_across(self) -> Array:
+        """(N, 2, 2) projections of forces across the links, along y and z, to what is felt."""
+        ...
+
+    @property
+    def is_one_place(self) -> NDArray[np.bool_]:
+        """(N,) whether a link is touched at one place only, so that all contacts are one force."""
+        ...
+
+    @property
     def joint_m(self) -> Array:
         """(N,) where the links' frames are along the whole machine."""
         ...

@@ -21,7 +21,7 @@ from cablesense_sim.kinematics import contact_torques
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
 from cablesense_sim.tolerances import ArmParameters
-from cablesense_sim.touch import touched_places
+from cablesense_sim.touch import is_one_place, touched_places
 from cablesense_sim.uncertain_arm import arm_parameters
 
 _KNOWN_N = 1.0
@@ -58,7 +58,10 @@ class FeltArm:
         self.drift_per_hour = arm.tolerances.drift_n_per_hour
         self.contact_m: Sequence[float] = of_each_segment(arm.segments.contact_m, count)
         self.joint_m: Array = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-        self.middle_m: Array = touched_places(arm).touched_m.mean(axis=1)
+        places = touched_places(arm)
+        self.middle_m: Array = places.touched_m.mean(axis=1)
+        self.felt_across: Array = np.tile(np.eye(2), (count, 1, 1))
+        self.is_one_place = is_one_place(places.touched_m, np.zeros(count))
         lowest, highest = arm.sensors.range_n or (-np.inf, np.inf)
         cables = arm.cable_count
         self.channels = ChannelLimits(

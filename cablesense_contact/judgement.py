@@ -44,6 +44,9 @@ _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
 _KNOWN_SHARE = 0.3
 """A force is known if half of its interval is below this share of it, or small."""
+_AS_WELL = 0.5
+"""It is known, too, if the relative deviation of its moment is above this share of its own: the
+moment in its place would say no more."""
 
 
 class ContactState(Enum):
@@ -119,6 +122,7 @@ class Judge:
         self._links = machine.link_names
         self._friction = machine.surface_friction
         self._known_n = machine.known_n
+        self._is_one_place = machine.is_one_place
         self._log_odds = math.log(contact_threshold / max(1.0 - contact_threshold, 1e-12))
 
     def __call__(self, seen: LawOutput, reading_n: Array) -> Judgement:
@@ -187,9 +191,13 @@ class Judge:
         Near the joint a force may be any, so that its mean is far outside its interval.
         """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
+        half_n = 0.5 * (high_n - low_n)
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
-        narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
-        return narrow and low_n <= size_n <= high_n
+        is_narrow = half_n <= max(self._known_n, _KNOWN_SHARE * size_n)
+        moment_n_m = float(np.hypot(*seen.moment_n_m[0]))
+        moment_half_n_m = NORMAL_95 * float(np.hypot(*seen.moment_std_n_m[0]))
+        is_as_well = moment_half_n_m * size_n >= _AS_WELL * half_n * moment_n_m
+        return (is_narrow or is_as_well) and low_n <= size_n <= high_n
 
     def _link(self, number: int) -> str:
         """A link's name in a sentence: `segment 2` of an arm."""
@@ -234,27 +242,31 @@ class Judge:
             f"{self._names[channel]} is wrong, beside a contact on {self._link(of_segment)}",
             fault=True,
         )
-        pairs = len(self._names) * (len(self._names) - 1) / 2
-        exchanged = seen.exchanged_evidence[0]
-        first, second = sorted(divmod(int(exchanged.argmax()), len(self._names)))
-        weight = float(exchanged[first, second]) + LOG_PRIOR_EXCHANGED - math.log(pairs)
-        yield _Rival(
-            weight,
-            weight,
-            f"{self._names[first]} and {self._names[second]} are exchanged",
-            fault=True,
-        )
-        wrench = seen.segment_evidence[0]
-        segment = int(wrench.argmax())
-        weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
-        yield _Rival(
-            weight,
-            weight,
-            f"several contacts or a couple on {self._link(segment)}",
-            same_moment=segment == int(seen.contact_evidence[0].argmax()),
-        )
-        weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
-        yield _Rival(weight, weight, "contacts on several segments")
+        pair_count = len(self._names) * (len(self._names) - 1) // 2
+        if pair_count:
+            exchanged = seen.exchanged_evidence[0]
+            first, second = sorted(divmod(int(exchanged.argmax()), len(self._names)))
+            log_prior = LOG_PRIOR_EXCHANGED - math.log(pair_count)
+            weight = float(exchanged[first, second]) + log_prior
+            yield _Rival(
+                weight,
+                weight,
+                f"{self._names[first]} and {self._names[second]} are exchanged",
+                fault=True,
+            )
+        if not self._is_one_place.all():
+            wrench = np.where(self._is_one_place, -np.inf, seen.segment_evidence[0])
+            segment = int(wrench.argmax())
+            weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
+            yield _Rival(
+                weight,
+                weight,
+                f"several contacts or a couple on {self._link(segment)}",
+                same_moment=segment == int(seen.contact_evidence[0].argmax()),
+            )
+        if len(self._links) > 1:
+            weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
+            yield _Rival(weight, weight, "contacts on several segments")
 
 
 @cache

@@ -320,8 +320,10 @@ def _errors(
     confirmed: Rows | None,
     poses: Array,
 ) -> RecordedErrors:
-    """Errors of answers on all rows of a recording, at poses (R, T)."""
-    _, y, z = _in_link_axes(taken, machine, poses).T
+    """Errors of answers on all rows of a recording, at poses (R, T), in what is felt of a load."""
+    link = np.maximum(taken.load_segment, 1) - 1
+    across_n = _in_link_axes(taken, machine, poses)[:, 1:]
+    y, z = np.einsum("rij,rj->ir", machine.felt_across[link], across_n)
     truth = ContactTruth(taken.load_segment, np.rad2deg(np.arctan2(y, z)) % 360.0, np.hypot(y, z))
 
     def errors(chosen: Rows) -> SingleContactMetrics:

@@ -6,10 +6,9 @@ name that a recording of ours has.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 from pydantic import model_validator
 
@@ -19,19 +18,15 @@ from cablesense_base.plain_yaml import FilePart, Number, read_plain
 from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME
 from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.recording import RecordingError
+from cablesense_recording.units import (
+    COMMAND_UNITS,
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    READING_UNITS,
+    TIME_UNITS,
+)
 
 MAX_FILE_BYTES = 100_000
-FORCE_UNITS: Final = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "kN": 1e3,
-    "gf": 9.80665e-3,
-    "kgf": 9.80665,
-    "lbf": 4.4482216152605,
-}
-ANGLE_UNITS: Final = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
-TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
 class TimeColumn(FilePart):
@@ -42,7 +37,7 @@ class TimeColumn(FilePart):
 
 
 class Channels(FilePart):
-    """The channels of all cables, or of all joint angles.
+    """The channels of all readings, or of all numbers of a command.
 
     Attributes:
         columns: their names, in the machine's order; of an arm's joints pitch, then yaw.
@@ -118,14 +113,14 @@ class ColumnMap(FilePart):
         return self.model_copy(update={"trial": "", "loads": None})
 
     @property
-    def newtons(self) -> float:
-        """What one unit of a tension is, N."""
-        return FORCE_UNITS[self.tensions.unit or "N"] * self.tensions.scale
+    def per_reading(self) -> float:
+        """What one unit of a reading is, N, or N·m of a torque."""
+        return READING_UNITS[self.tensions.unit or "N"] * self.tensions.scale
 
     @property
-    def radians(self) -> float:
-        """What one unit of a commanded angle is, rad."""
-        return ANGLE_UNITS[self.commands.unit or "rad"] * self.commands.scale
+    def per_command(self) -> float:
+        """What one unit of a command is, rad, or m of a length."""
+        return COMMAND_UNITS[self.commands.unit or "rad"] * self.commands.scale
 
     @property
     def seconds(self) -> float:
@@ -143,8 +138,8 @@ def read_column_map(path: str | Path, machine: Described) -> ColumnMap:
     layout = layout_of(machine)
     text = read_bounded_text(path, MAX_FILE_BYTES, "a map of columns (.yaml)", RecordingError)
     described = read_plain(text, str(path), ColumnMap, RecordingError)
-    _require_unit(path, "tensions.unit", described.tensions.unit, FORCE_UNITS)
-    _require_unit(path, "commands.unit", described.commands.unit, ANGLE_UNITS)
+    _require_unit(path, "tensions.unit", described.tensions.unit, layout.reading_units)
+    _require_unit(path, "commands.unit", described.commands.unit, layout.command_units)
     _require_unit(path, "time.unit", described.time.unit, TIME_UNITS)
     if described.loads is not None:
         _require_unit(path, "loads.unit", described.loads.unit, FORCE_UNITS)

@@ -6,7 +6,7 @@ channels are numbered, or a machine that MuJoCo describes, whose channels have n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
@@ -23,6 +23,7 @@ from cablesense_recording.channels import (
     command_columns,
     tension_columns,
 )
+from cablesense_recording.units import ANGLE_UNITS, COMMAND_UNITS, FORCE_UNITS, READING_UNITS
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import contact_of_wrench
@@ -69,6 +70,16 @@ class Layout(Protocol):
     @property
     def command_topic(self) -> str:
         """Whose messages say where the machine is: its commands, or its measured joints."""
+        ...
+
+    @property
+    def reading_units(self) -> Mapping[str, float]:
+        """Units in which readings may be recorded, in SI units."""
+        ...
+
+    @property
+    def command_units(self) -> Mapping[str, float]:
+        """Units in which commands may be recorded, in SI units."""
         ...
 
     @property
@@ -126,6 +137,8 @@ class ArmLayout:
     needs_labels = True
     largest_command = MAX_JOINT_ANGLE_RAD
     default_m = "contact_m of the arm file"
+    reading_units: Mapping[str, float] = FORCE_UNITS
+    command_units: Mapping[str, float] = ANGLE_UNITS
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
@@ -172,6 +185,8 @@ class MachineLayout:
     needs_labels = False
     largest_command = _LARGEST_COMMAND
     default_m = "the middle of where the link is touched"
+    reading_units: Mapping[str, float] = READING_UNITS
+    command_units: Mapping[str, float] = COMMAND_UNITS
 
     def __init__(self, machine: Machine) -> None:
         self.name = f"machine {machine.name}"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import plain_name
-from cablesense_recording.column_map import FORCE_UNITS, LENGTH_UNITS, Channels, ColumnMap
+from cablesense_recording.column_map import Channels, ColumnMap
 from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
 from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.mcap_file import decoded, is_bag
@@ -24,6 +24,7 @@ from cablesense_recording.recording import (
     given_places,
     one_clock,
 )
+from cablesense_recording.units import FORCE_UNITS, LENGTH_UNITS
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -73,12 +74,12 @@ def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
         if loads.at in values:
             place_m = given_places(values[loads.at] * LENGTH_UNITS[loads.at_unit])
     trial = _whole(path, columns.trial, values[columns.trial]) if columns.trial else None
-    held_rad = np.tile(columns.commands.held, (count, 1)) * columns.radians
+    held_rad = np.tile(columns.commands.held, (count, 1)) * columns.per_command
     return _recording(
         csv_stem(path),
         time * columns.seconds,
-        _stacked(values, commands) * columns.radians if commands else held_rad,
-        _stacked(values, tensions) * columns.newtons,
+        _stacked(values, commands) * columns.per_command if commands else held_rad,
+        _stacked(values, tensions) * columns.per_reading,
         segment,
         load_n,
         place_m,
@@ -128,8 +129,8 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     return _recording(
         plain_name(path.stem),
         (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9,
-        np.array(commands) * columns.radians,
-        np.array(tensions) * columns.newtons,
+        np.array(commands) * columns.per_command,
+        np.array(tensions) * columns.per_reading,
         np.zeros(count, dtype=np.int64),
         np.zeros((count, 3)),
         None,

@@ -5,9 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim.arm import Arm, of_each_segment
+
+_ONE_PLACE_M = 2e-3
+"""Contacts that are nearer act at one place, as far as any reading tells."""
 
 
 class TouchedPlaces(NamedTuple):
@@ -40,3 +44,13 @@ def touched_places(arm: Arm) -> TouchedPlaces:
     if touch.friction == 0.0:
         radius_m[:] = 0.0
     return TouchedPlaces(touched_m, radius_m, touch.friction)
+
+
+def is_one_place(touched_m: Array, radius_m: Array) -> NDArray[np.bool_]:
+    """(N,) whether links that are touched in ranges (N, 2), of radii (N,), are so at one place.
+
+    Contacts on it are one: they are no farther apart than two millimetres, or than the link is
+    thick.
+    """
+    length_m = touched_m[:, 1] - touched_m[:, 0]
+    return np.asarray(length_m <= np.maximum(_ONE_PLACE_M, 2.0 * radius_m))

@@ -15,10 +15,12 @@ from cablesense_contact.machine.observation import Observer
 from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_contact.reference_contacts import ReferenceContacts, ReferenceLoads
+from cablesense_sim.machine.felt_directions import felt_across
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
+from cablesense_sim.touch import is_one_place
 
 _KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
 """A force is known if half of its interval is below this share of the largest one."""
@@ -60,6 +62,8 @@ class FeltModel:
         self.drift_per_hour = tolerances.drift_per_hour
         self.contact_m: Sequence[float] = links.touched_m.mean(axis=1).tolist()
         self.middle_m: Array = links.touched_m.mean(axis=1)
+        self.felt_across: Array = felt_across(machine)
+        self.is_one_place = is_one_place(links.touched_m, links.radius_m)
         span_m = links.touched_m[:, 1] - links.touched_m[:, 0]
         self.joint_m: Array = np.cumsum(span_m) - links.touched_m[:, 1]
         self.channels = ChannelLimits(

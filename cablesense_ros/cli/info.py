@@ -80,13 +80,14 @@ def info(
         ),
     ] = False,
     load_n: Annotated[
-        float,
+        float | None,
         typer.Option(
-            min=0.1,
+            min=0.01,
             help="With --blind: the load that comes and goes, N. With --observability: the "
             "lateral force.",
+            show_default="20; of a machine a fifth of touch.largest_n",
         ),
-    ] = 20.0,
+    ] = None,
     bend_deg: Annotated[
         float,
         typer.Option(
@@ -146,13 +147,13 @@ def info(
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
-        description = _observability(open_arm(file), load_n, bend_deg)
+        description = _observability(open_arm(file), load_n or _LOAD_N, bend_deg)
         if picture is not None:
             path = output_file(picture, force=force)
-            _draw_observability(path, open_arm(file), load_n, bend_deg)
+            _draw_observability(path, open_arm(file), load_n or _LOAD_N, bend_deg)
     elif blind:
         title = "Smallest change of a contact force that the readings show, by segment, N"
-        description = _hidden_force(file, load_n, bend_deg)
+        description = _hidden_force(file, load_n or _LOAD_N, bend_deg)
     elif file.endswith(".onnx"):
         title = "Model"
         description = _model(file)
@@ -179,17 +180,17 @@ class _OfMachine(NamedTuple):
     warning: str
 
 
-def _machine(file: str, load_n: float, *, observability: bool) -> _OfMachine:
+def _machine(file: str, load_n: float | None, *, observability: bool) -> _OfMachine:
     from cablesense_ros.cli.machine_info import (
         machine_description,
         machine_observability,
-        unseen_links,
+        notes_on_links,
         weak_links,
     )
 
     if observability:
         seen = machine_observability(file, load_n)
-        return _OfMachine("What one reading tells of a contact", seen, unseen_links(seen))
+        return _OfMachine("What one reading tells of a contact", seen, notes_on_links(seen))
     described = machine_description(file)
     return _OfMachine("Machine", described, weak_links(described))
 
@@ -409,6 +410,8 @@ _AXIAL_STD_N = 100.0
 """Deviation of the prior of the axial force."""
 _LARGEST_N = 200.0
 """Largest lateral force of the prior."""
+_LOAD_N = 20.0
+"""Load on an arm, unless the user states another one."""
 _DRAWS = 100
 """Poses, places and directions over which a bound is taken."""
 _PLACES = 12

@@ -6,7 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cablesense_base import Array
+
 Description = dict[str, Any]
+
+_ACROSS = np.array([0.6, 0.8])
+"""Direction of the force across a link of which it is told how well it is known."""
+_USUAL_SHARE = 0.2
+"""That force by default, as a share of the largest."""
 
 _LEAST_RANGE_M = 1e-6
 """A range of places that is a point has this deviation."""
@@ -96,8 +103,10 @@ def weak_links(description: Description) -> str:
     )
 
 
-def machine_observability(path: str, load_n: float) -> Description:
+def machine_observability(path: str, load_n: float | None = None) -> Description:
     """What one reading tells of a contact in the middle of each link, in the reference pose.
+
+    `load_n` is the lateral force, by default a fifth of the largest that is expected.
 
     The deviations are those that no estimate can be below (Cramér-Rao), with the noise of the
     sensors alone, and with the tolerances of the machine file before any tare. The axial force is
@@ -107,11 +116,15 @@ def machine_observability(path: str, load_n: float) -> Description:
         MachineError: it cannot be used, or does not bear the load.
     """
     from cablesense_contact.machine.observation import Observer
+    from cablesense_sim.machine.felt_directions import felt_across, is_planar
     from cablesense_sim.machine.machine import open_machine
     from cablesense_sim.machine.simulated import SimulatedMachine
     from cablesense_sim.machine.statics import LinkForce
 
     machine = open_machine(path)
+    if load_n is None:
+        load_n = _USUAL_SHARE * machine.source.file.touch.largest_n
+    projections = felt_across(machine)
     observer = Observer(machine)
     parameters = observer.parameters
     exact = 0.0 * parameters.prior_mean
@@ -125,9 +138,16 @@ def machine_observability(path: str, load_n: float) -> Description:
         place_m = 0.5 * (first_m + last_m)
         # the place is one of the touched range, equally probable
         range_std_m = (last_m - first_m) / np.sqrt(12.0) + _LEAST_RANGE_M
-        force = LinkForce(link, np.array([place_m, 0.0, 0.0]), load_n * np.array([0, 0.6, 0.8]))
+        felt = projections[link]
+        across = felt @ _ACROSS
+        across_n = load_n * across / np.linalg.norm(across)
+        force = LinkForce(link, np.array([place_m, 0.0, 0.0]), np.append(0.0, across_n))
         reading = nominal.touched(command, [force], untouched).values
-        row: Description = {"link": name, "place_m": place_m}
+        row: Description = {
+            "link": name,
+            "place_m": place_m,
+            "in_plane": bool(is_planar(projections)[link]),
+        }
         axial_n = (machine.source.file.touch.friction or 1.0) * load_n
         for key, covariance in (
             ("", np.zeros((len(exact), len(exact)))),
@@ -139,24 +159,31 @@ def machine_observability(path: str, load_n: float) -> Description:
             by_place = force.force_n @ levers[3:]
             slope = seen.by_torque @ np.concatenate([by_force, by_place[None]]).T
             information = slope.T @ seen.information @ slope
-            bound = _bound(information, load_n, axial_n, range_std_m)
+            bound = _bound(information, felt, load_n, axial_n, range_std_m)
             row[f"{key}force_n"] = bound.force_n
             row[f"{key}place_mm"] = bound.place_mm
         rows.append(row)
     return {"kind": "observability", "file": path, "load_n": load_n, "links": rows}
 
 
-def unseen_links(seen: Description) -> str:
-    """A note on links on which one reading does not tell a force; empty without such links."""
+def notes_on_links(seen: Description) -> str:
+    """Notes on links whose force is known in a plane, or not at all; empty without such links."""
+    notes = []
+    planar = [row["link"] for row in seen["links"] if row["in_plane"]]
+    if planar:
+        notes.append(
+            f"All hinges before {', '.join(planar)} are parallel: a force there is stated in "
+            "their plane, and what acts along them is not felt."
+        )
     unseen = [row["link"] for row in seen["links"] if row["force_n"] is None]
-    if not unseen:
-        return ""
-    return (
-        f"A dash: one reading does not tell this apart from the rest. On {', '.join(unseen)} a "
-        "push is known by its moments on the joints alone (state `moment`), as fewer of them are "
-        "read than a force and its place have numbers. If a link is touched at one place only, "
-        "list that place under touch.links: then its force is known."
-    )
+    if unseen:
+        notes.append(
+            f"A dash: one reading does not tell this apart from the rest. On {', '.join(unseen)} "
+            "a push is known by its moments on the joints alone (state `moment`), as fewer of "
+            "them are read than a force and its place have numbers. If a link is touched at one "
+            "place only, list that place under touch.links: then its force is known."
+        )
+    return " ".join(notes)
 
 
 class _Bound(NamedTuple):
@@ -170,11 +197,16 @@ class _Bound(NamedTuple):
     place_mm: float | None
 
 
-def _bound(information: Any, load_n: float, axial_n: float, range_std_m: float) -> _Bound:
-    """By the information (4, 4) of a reading on force and place."""
+def _bound(
+    information: Array, felt: Array, load_n: float, axial_n: float, range_std_m: float
+) -> _Bound:
+    """By the information (4, 4) of a reading on force and place.
+
+    Of the force across the link the part by the projection (2, 2) is felt.
+    """
     known = np.diag([axial_n**-2, 1e-6 * load_n**-2, 1e-6 * load_n**-2, range_std_m**-2])
     covariance = np.linalg.inv(information + known)
-    force_n = float(np.sqrt(covariance[1, 1] + covariance[2, 2]))
+    force_n = float(np.sqrt(np.trace(felt @ covariance[1:3, 1:3] @ felt)))
     place_m = float(np.sqrt(covariance[3, 3]))
     return _Bound(
         force_n=round(force_n, 4) if force_n < load_n else None,

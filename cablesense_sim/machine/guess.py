@@ -49,7 +49,10 @@ def guessed_machine_file(path: Path) -> str:
     ]
     if tendons:
         are_held = all(_is_held(model, drawn.get(t)) for t in tendons)
-        lines += _joints_line(are_held)
+        is_tie = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
+        coordinate_count = model.njnt - int(is_tie.sum())
+        by_servos = len(drawn) == len(tendons) < coordinate_count
+        lines += _joints_line(are_held, by_servos=by_servos)
         lines += ["sensors:", "  tension:"]
         lines += _channel_lines(model, {t: drawn.get(t, -1) for t in tendons}, of_tendons=True)
         if drawn:
@@ -57,7 +60,7 @@ def guessed_machine_file(path: Path) -> str:
             pose = f"in the model's first pose{whose}"
             lines += ["cables:", f"  pretension_n: {_PRETENSION_N:g}  # {pose}"]
     else:
-        lines += _joints_line(False)
+        lines += _joints_line(False, by_servos=False)
         lines += ["sensors:", "  torque:"]
         lines += _channel_lines(model, motors, of_tendons=False)
     links = _touched_lines(model)
@@ -84,14 +87,19 @@ def _is_held(model: mujoco.MjModel, actuator: int | None) -> bool:
     return actuator is None or float(model.actuator_biasprm[actuator, 1]) < 0.0
 
 
-def _joints_line(held: bool) -> list[str]:
-    if held:
-        return [
-            "# commanded: tendons hold the lengths of commanded joint positions; actuators: the",
-            "# actuators' lengths are commanded; measured: joint positions are read.",
-            "joints: commanded",
-        ]
-    return ["# joint positions are read (joint_states)", "joints: measured"]
+def _joints_line(held: bool, *, by_servos: bool) -> list[str]:
+    """What says where the machine is.
+
+    Tendons that are fewer than the joints hold no pose that was commanded: what their servos are
+    commanded are lengths.
+    """
+    if not held:
+        return ["# joint positions are read (joint_states)", "joints: measured"]
+    return [
+        "# commanded: tendons hold the lengths of commanded joint positions; actuators: the",
+        "# actuators' lengths are commanded; measured: joint positions are read.",
+        f"joints: {'actuators' if by_servos else 'commanded'}",
+    ]
 
 
 def _channel_lines(

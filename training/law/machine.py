@@ -10,6 +10,7 @@ import torch
 
 from cablesense_base import Array
 from cablesense_contact.machine.law import EVIDENCE, GRAPH_FORCE_N, STATED
+from cablesense_sim.machine.felt_directions import felt_across
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
 from cablesense_sim.touch import TouchedPlaces
@@ -29,7 +30,14 @@ def machine_statement(machine: Machine) -> ContactStatement:
     # one link begins where the one before it ends
     ends_m = np.cumsum(span_m)
     joint_m = ends_m - links.touched_m[:, 1]
-    return ContactStatement(touched, length_m, joint_m, _torque_scale(machine), partly_felt=True)
+    return ContactStatement(
+        touched,
+        length_m,
+        joint_m,
+        _torque_scale(machine),
+        felt_across=felt_across(machine),
+        partly_felt=True,
+    )
 
 
 def _torque_scale(machine: Machine) -> Array:

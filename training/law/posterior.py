@@ -34,6 +34,12 @@ LARGEST_N = 200.0
 
 AXIAL_STD_N = 100.0
 """Prior deviation of the axial force of contacts on the axis: half the largest lateral force."""
+_UNFELT_N = 0.01
+"""Deviation of the part of a force that no reading depends on: next to nothing, as it is not
+stated."""
+_IN_PLANE = 2.0 / np.pi
+"""(1 / f √(2π))² over (1 / 2f)²: of the densities 1 / (2π f F), with the Gaussian integral over
+both directions across a segment, and 1 / 2F with that over one."""
 
 RADIUS_MEAN = 2.0 / 3.0
 """Where a surface is touched, from the axis, as a share of its radius: anywhere within it, the
@@ -102,9 +108,12 @@ class PosteriorOfContact(nn.Module):
     Args:
         touched: where the segments can be touched. Its friction is taken as the deviation of
             axial over lateral forces.
+        felt_across: (N, 2, 2) or (2, 2) projections of forces across the segments, along y and z,
+            to what makes a torque in some pose. Where that is one direction alone, forces are in
+            its plane: the density of a force f in it is 1 / 2F, up to the largest F.
     """
 
-    def __init__(self, touched: TouchedPlaces) -> None:
+    def __init__(self, touched: TouchedPlaces, felt_across: Matrix) -> None:
         reach_m, radius_m, friction = touched
         super().__init__()
         self.on_surface = friction > 0.0
@@ -131,8 +140,16 @@ class PosteriorOfContact(nn.Module):
         self.fixed_rows = constant(fixed)
         self.by_place_rows = constant(by_place)
         self.axial_precision = constant(np.full((1, 1, 1), AXIAL_STD_N**-2))
-        prior = np.diag([0.0, LARGEST_N**-2, LARGEST_N**-2]).reshape(-1)
-        self.prior = constant(np.append(prior[_ENTRIES], np.zeros(3))[:, None])
+        prior = np.zeros((*felt_across.shape[:-2], 3, 3))
+        prior[..., 1:, 1:] = LARGEST_N**-2 * felt_across + _UNFELT_N**-2 * (
+            np.eye(2) - felt_across
+        )
+        entries = prior.reshape(*prior.shape[:-2], 9)[..., _ENTRIES]
+        no_pull = np.zeros((*prior.shape[:-2], 3))
+        self.prior = constant(np.concatenate([entries, no_pull], axis=-1)[..., None])
+        in_plane = np.linalg.det(felt_across) < 0.5
+        self.has_plane = bool(in_plane.any())
+        self.in_plane = constant(in_plane[..., None, None].astype(float))
         self.is_axial = constant(np.append(_ENTRIES == 0, np.zeros(3))[:, None].astype(float))
         total_m = float((reach_m[:, 1] - reach_m[:, 0]).sum())
         # of the place, of the direction, and of the magnitude: 1 / (2π f F L), the force in its
@@ -199,7 +216,10 @@ class PosteriorOfContact(nn.Module):
         swept = (matrix[:, :, 1:, 1:] * lateral[:, :, None]).sum(3)
         variance = (swept * lateral).sum(2, keepdim=True) / squared
         # the density 1 / (2π f F) of a force has no pole where f is known to its deviation only
-        scale = determinant * torch.maximum(squared, variance) / axial_precision
+        density = torch.maximum(squared, variance)
+        if self.has_plane:
+            density = density + self.in_plane * (_IN_PLANE * _UNFELT_N**2 - density)
+        scale = determinant * density / axial_precision
         log_density = 0.5 * (gain - torch.log(scale))
 
         step = span / (PLACES - 1)

@@ -67,9 +67,11 @@ class ContactStatement(nn.Module):
         length_m: (N,) of the links.
         joint_m: (N,) where their frames are along all links.
         torque_scale: (T,) prior deviation of contact torques at the joints, each by itself.
-        partly_felt: whether there may be links on which forces in some direction across them make
-            no torque. A magnitude is then known no better than as that direction allows, and as
-            the link is: a moment is told, and on each link another force makes it.
+        felt_across: (N, 2, 2) projections of forces across the links, along y and z, to what
+            makes a torque in some pose, in which they are stated; all of them by default.
+        partly_felt: whether there may be poses in which forces in some direction across a link
+            make no torque. A magnitude is then known no better than as that direction allows, and
+            as the link is: a moment is told, and on each link another force makes it.
     """
 
     def __init__(
@@ -79,12 +81,14 @@ class ContactStatement(nn.Module):
         joint_m: Matrix,
         torque_scale: Matrix,
         *,
+        felt_across: Matrix | None = None,
         partly_felt: bool = False,
     ) -> None:
         super().__init__()
         self.partly_felt = partly_felt
-        self.wrench = WrenchFit(length_m)
-        self.contact = PosteriorOfContact(touched)
+        projections = np.eye(2) if felt_across is None else felt_across
+        self.wrench = WrenchFit(length_m, projections)
+        self.contact = PosteriorOfContact(touched, projections)
         self.rivals = RivalHypotheses(torque_scale)
         self.points = constant(np.linspace(0.0, 1.0, _POINTS))
         self.ends = constant(np.array([[_LOW], [_HIGH]]))
@@ -99,6 +103,7 @@ class ContactStatement(nn.Module):
         self.lateral_variances = constant(np.array([5, 9]))
         self.lateral_entries = constant(np.array([4, 8]))
         self.grid_shape = (-1, 20, PLACES)
+        self.unfelt = None if felt_across is None else constant(_unfelt_covariance(felt_across))
 
     def forward(self, seen: Evidence) -> Statement:
         """The statement."""
@@ -134,6 +139,9 @@ class ContactStatement(nn.Module):
         magnitudes = weight, squared, variance
         if self.partly_felt:
             magnitudes = self._of_any_link(contact)
+        covariance = spread[:, :4, :4]
+        if self.unfelt is not None:
+            covariance = covariance + (chosen @ self.unfelt).reshape(-1, 4, 4)
         place, force, around = means[:, :, 0].split((1, 3, 2), dim=1)
         moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
         return Statement(
@@ -150,7 +158,7 @@ class ContactStatement(nn.Module):
             place_ci95_m=place_ci,
             region_m=region,
             force_n=force,
-            contact_covariance=spread[:, :4, :4],
+            contact_covariance=covariance,
             magnitude_ci95_n=self._magnitudes(*magnitudes),
             moment_n_m=around @ self.around_axes,
             moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_TINY)),
@@ -251,6 +259,13 @@ def _quantiles(points: Tensor, cdf: Tensor, shares: Tensor) -> Tensor:
     part = ((shares - lower) / rise).clamp(0.0, 1.0)
     step = points[:, :, 1:] - points[:, :, :-1]
     return (points[:, :, :1] + part @ step.transpose(1, 2))[:, :, 0]
+
+
+def _unfelt_covariance(felt_across: Matrix) -> Matrix:
+    """(N, 16): the covariance (4, 4) of place and force by what is not felt of a force."""
+    covariance = np.zeros((len(felt_across), 4, 4))
+    covariance[:, 2:, 2:] = LARGEST_N**2 * (np.eye(2) - felt_across)
+    return covariance.reshape(-1, 16)
 
 
 def _to_covariance() -> Matrix:

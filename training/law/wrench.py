@@ -75,9 +75,15 @@ class Strength(NamedTuple):
 
 
 class WrenchFit(nn.Module):
-    """`SegmentWrench` of measurements, for an arm with segments of lengths (N,) in m."""
+    """`SegmentWrench` of measurements.
 
-    def __init__(self, length_m: Matrix) -> None:
+    Args:
+        length_m: (N,) of the segments.
+        felt_across: (N, 2, 2) or (2, 2) projections of forces across the segments, along y and z,
+            to what makes a torque in some pose.
+    """
+
+    def __init__(self, length_m: Matrix, felt_across: Matrix) -> None:
         super().__init__()
         self.middle_m = 0.5 * float(length_m.mean())
         self.length_m = float(length_m.max())
@@ -94,7 +100,9 @@ class WrenchFit(nn.Module):
         for product in ((4, 1), (1, 4)):
             across[product] = -1.0
         self.across = constant(across)
-        self.lateral = constant(np.diag([0.0, 1.0, 1.0, 0.0, 0.0]))
+        lateral = np.zeros((*felt_across.shape[:-2], 5, 5))
+        lateral[..., 1:3, 1:3] = felt_across
+        self.lateral = constant(lateral)
 
     def forward(self, seen: Evidence) -> SegmentWrench:
         """The fits."""

@@ -122,3 +122,28 @@ def test_a_driver_that_publishes_torques_as_efforts_is_read_by_a_map(tmp_path):
     columns.write_text("tensions: {topic: /joint_states}\n")
     recording = read_recording(path, SIX_AXIS, columns=read_column_map(columns, SIX_AXIS))
     np.testing.assert_array_equal(recording.tensions_n[[0, 59], 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "tensions", "commands", "per_reading", "per_command"),
+    [
+        ("continuum", "kgf", "mm", 9.80665, 1e-3),
+        ("finger", "mN", "deg", 1e-3, np.pi / 180.0),
+        ("six_axis", "N·cm", "mrad", 1e-2, 1e-3),
+    ],
+)
+def test_a_map_may_give_lengths_and_torques(
+    tmp_path, name, tensions, commands, per_reading, per_command
+):
+    machine = example_machine(name)
+    meant = tmp_path / "map.yaml"
+    meant.write_text(f"tensions: {{unit: {tensions}}}\ncommands: {{unit: {commands}}}\n", "utf-8")
+    columns = table(machine)
+    recording = read_recording(
+        written(tmp_path / "a.csv", columns), machine, columns=read_column_map(meant, machine)
+    )
+    layout = layout_of(machine)
+    readings = np.transpose([columns[name] for name in layout.reading_columns])
+    np.testing.assert_allclose(recording.tensions_n, per_reading * readings)
+    command = np.transpose([columns[name] for name in layout.command_columns])
+    np.testing.assert_allclose(recording.command_rad, per_command * command)

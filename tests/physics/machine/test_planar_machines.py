@@ -1,0 +1,116 @@
+"""Machines that feel forces in one plane alone: which plane, and hung weights by one tendon."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from cablesense_base import Array
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.judgement import ContactState, Judge
+from cablesense_contact.machine.felt_model import FeltModel
+from cablesense_contact.machine.law import MachineLaw
+from cablesense_sim.machine.felt_directions import felt_across, is_planar
+from cablesense_training.law.machine import TorchStater
+from tests.helpers.example_machines import example_machine, written_machine
+
+LINKS = 5
+LENGTH_M = 0.04
+SERVO_N_M = 8000.0
+PRETENSION_N = 3.0
+WEIGHTS_N = (0.1, 0.3, 0.6)
+
+ROD_FILE = """
+joints: actuators
+sensors:
+  tension: {of: [wire], noise_std: 0.01}
+cables: {pretension_n: 3}
+touch:
+  friction: 0.3
+  largest_n: 5
+  links:
+    - {link: link_5, start_m: [0.0395, 0, 0], end_m: [0.0405, 0, 0], radius_m: 0.003}
+"""
+
+
+def rod_model(axis: str = "0 1 0") -> str:
+    """A rod of links on springs, bent by one wire above it that a servo draws."""
+    inside = ""
+    for n in range(LINKS, 0, -1):
+        at_m = LENGTH_M if n > 1 else 0.0
+        inside = f"""
+        <body name="link_{n}" pos="{at_m} 0 0">
+          <joint name="bend_{n}" type="hinge" axis="{axis}" stiffness="1.5" damping="0.1"/>
+          <geom type="capsule" fromto="0 0 0 {LENGTH_M} 0 0" size="0.003" mass="0.008"/>
+          <site name="guide_{n}" pos="{LENGTH_M / 2} 0 0.006"/>
+          {inside}
+        </body>"""
+    guides = "".join(f'<site site="guide_{n}"/>' for n in range(LINKS + 1))
+    return f"""
+    <mujoco>
+      <option timestep="0.001"/>
+      <worldbody><site name="guide_0" pos="-0.01 0 0.006"/>{inside}</worldbody>
+      <tendon><spatial name="wire">{guides}</spatial></tendon>
+      <actuator><position name="motor" tendon="wire" kp="{SERVO_N_M}"/></actuator>
+    </mujoco>"""
+
+
+def hung_tension_n(model: mujoco.MjModel, command_m: float, weight_n: float) -> float:
+    """The wire's tension once MuJoCo's integrator has brought the rod with a weight to rest."""
+    data = mujoco.MjData(model)
+    data.ctrl[0] = command_m
+    body = model.body(f"link_{LINKS}").id
+    tip_m = np.array([LENGTH_M, 0.0, 0.0])
+    hung_n = np.array([0.0, 0.0, -weight_n])
+    for _ in range(6000):
+        mujoco.mj_kinematics(model, data)
+        point_m = data.xpos[body] + data.xmat[body].reshape(3, 3) @ tip_m
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_applyFT(model, data, hung_n, np.zeros(3), point_m, body, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+    return float(-data.actuator_force[0])
+
+
+@pytest.mark.slow
+def test_one_tendon_tells_the_weights_that_are_hung_on_the_tip(tmp_path: Path) -> None:
+    """The truth is MuJoCo's integrator; the machine touches at one place, so no rival remains."""
+    machine = written_machine(tmp_path, rod_model(), ROD_FILE)
+    model = mujoco.MjModel.from_xml_string(rod_model())
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    command_m = float(data.ten_length[0]) - PRETENSION_N / SERVO_N_M
+    felt = FeltModel(machine)
+    law = MachineLaw(machine, TorchStater(machine))
+    calibrator = Calibrator(felt, law)
+    command = np.array([command_m])
+    untouched = np.array([hung_tension_n(model, command_m, 0.0)])
+    tare = Unloaded(untouched, command, count=50)
+    known = calibrator.updated(calibrator.by_tolerances(), tare)
+    readings = np.array([[hung_tension_n(model, command_m, weight)] for weight in WEIGHTS_N])
+    count = len(machine.coordinates)
+    commands = np.tile(command, (len(readings), 1))
+    still = np.zeros((count, count))
+    seen = law(readings, commands, known.mean, known.covariance, still)
+    judgements = Judge(felt).batch(seen, readings)
+    assert set(judgements.state) == {ContactState.CONTACT}
+    np.testing.assert_allclose(-seen.force_n[:, 2], WEIGHTS_N, rtol=0.05)
+    low_n, high_n = seen.magnitude_ci95_n.T
+    assert (low_n < WEIGHTS_N).all()
+    assert (high_n > WEIGHTS_N).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2.0])
+def test_parallel_hinges_feel_forces_across_them(tmp_path: Path, angle: float) -> None:
+    hinge = np.array([np.cos(angle), np.sin(angle)])
+    axis = f"0 {hinge[0]:.12g} {hinge[1]:.12g}"
+    machine = written_machine(tmp_path, rod_model(axis), ROD_FILE)
+    across: Array = np.array([-hinge[1], hinge[0]])
+    in_frame = machine.links.axes[0, 1:, 1:].T @ across
+    np.testing.assert_allclose(felt_across(machine)[0], np.outer(in_frame, in_frame), atol=1e-9)
+
+
+def test_only_the_first_link_of_crossed_hinges_is_felt_in_a_plane() -> None:
+    machine = example_machine("seven_hinges")
+    planar = is_planar(felt_across(machine))
+    assert planar.tolist() == [True] + [False] * 6
