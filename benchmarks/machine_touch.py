@@ -23,10 +23,11 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base import Array
+from cablesense_contact.machine.felt_directions import felt_across
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.model_file import open_machine_law
+from cablesense_contact.machine.observation import Observer
 from cablesense_sim.machine.description import MachineError
-from cablesense_sim.machine.felt_directions import felt_across
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine, open_machine
 from cablesense_sim.machine.parameters import MachineParameters
@@ -94,7 +95,7 @@ class TouchedMachine:
         self._machine = machine
         self._kind = kind
         links = machine.links
-        self._felt_across = felt_across(machine)
+        self._felt_across = felt_across(Observer(machine))
         self._largest_n = machine.source.file.touch.largest_n
         self._size_m = 0.3 * float(np.median(links.radius_m))
         # pressed by the largest force, a servo gives way by half the obstacle's size

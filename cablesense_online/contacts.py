@@ -189,12 +189,14 @@ class LawContacts:
     def _unseen_n(self, seen: LawOutput) -> float:
         """The force in the middle of where the last segment is touched that would not show, N.
 
-        With 95 % confidence.
+        With 95 % confidence, and in directions across it that are felt at all.
         """
         by_torque = seen.by_torque[0]
         precision = by_torque.T @ seen.information_n2[0] @ by_torque
         lever = seen.at_joint_m[0, -1, 1:] + self._middle_m[-1] * seen.by_place[0, -1, 1:]
-        (yy, yz), (_, zz) = lever @ precision @ lever.T
+        information = lever @ precision @ lever.T
+        unfelt = np.eye(2) - self._machine.felt_across[-1]
+        (yy, yz), (_, zz) = information + np.trace(information) * unfelt
         least = 0.5 * (yy + zz) - math.hypot(0.5 * (yy - zz), yz)
         return NORMAL_95 / math.sqrt(max(least, 1e-12))
 

@@ -10,12 +10,12 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides, FrictionParameters
 from cablesense_contact.felt import ChannelLimits, LinkFrames, LinksAtPose
+from cablesense_contact.machine.felt_directions import felt_across
 from cablesense_contact.machine.law import GRAPH_FORCE_N
 from cablesense_contact.machine.observation import Observer
 from cablesense_contact.machine.tendon_friction import TendonFriction
 from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_contact.reference_contacts import ReferenceContacts, ReferenceLoads
-from cablesense_sim.machine.felt_directions import felt_across
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
 from cablesense_sim.machine.simulated import SimulatedMachine
@@ -62,7 +62,7 @@ class FeltModel:
         self.drift_per_hour = tolerances.drift_per_hour
         self.contact_m: Sequence[float] = links.touched_m.mean(axis=1).tolist()
         self.middle_m: Array = links.touched_m.mean(axis=1)
-        self.felt_across: Array = felt_across(machine)
+        self.felt_across: Array = felt_across(self._observer)
         self.is_one_place = is_one_place(links.touched_m, links.radius_m)
         span_m = links.touched_m[:, 1] - links.touched_m[:, 0]
         self.joint_m: Array = np.cumsum(span_m) - links.touched_m[:, 1]

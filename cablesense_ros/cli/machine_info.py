@@ -115,8 +115,8 @@ def machine_observability(path: str, load_n: float | None = None) -> Description
     Raises:
         MachineError: it cannot be used, or does not bear the load.
     """
+    from cablesense_contact.machine.felt_directions import felt_across, is_planar
     from cablesense_contact.machine.observation import Observer
-    from cablesense_sim.machine.felt_directions import felt_across, is_planar
     from cablesense_sim.machine.machine import open_machine
     from cablesense_sim.machine.simulated import SimulatedMachine
     from cablesense_sim.machine.statics import LinkForce
@@ -124,8 +124,8 @@ def machine_observability(path: str, load_n: float | None = None) -> Description
     machine = open_machine(path)
     if load_n is None:
         load_n = _USUAL_SHARE * machine.source.file.touch.largest_n
-    projections = felt_across(machine)
     observer = Observer(machine)
+    projections = felt_across(observer)
     parameters = observer.parameters
     exact = 0.0 * parameters.prior_mean
     nominal = SimulatedMachine(machine, parameters, exact)
@@ -172,8 +172,8 @@ def notes_on_links(seen: Description) -> str:
     planar = [row["link"] for row in seen["links"] if row["in_plane"]]
     if planar:
         notes.append(
-            f"All hinges before {', '.join(planar)} are parallel: a force there is stated in "
-            "their plane, and what acts along them is not felt."
+            f"On {', '.join(planar)} readings depend on forces in one plane alone: the force in "
+            "it is stated, and what acts across it is not felt."
         )
     unseen = [row["link"] for row in seen["links"] if row["force_n"] is None]
     if unseen:

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from cablesense_base import Array
+from cablesense_contact.machine.felt_directions import felt_across
 from cablesense_contact.machine.law import EVIDENCE, GRAPH_FORCE_N, STATED
-from cablesense_sim.machine.felt_directions import felt_across
+from cablesense_contact.machine.observation import Observer
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
 from cablesense_sim.touch import TouchedPlaces
@@ -35,7 +36,7 @@ def machine_statement(machine: Machine) -> ContactStatement:
         length_m,
         joint_m,
         _torque_scale(machine),
-        felt_across=felt_across(machine),
+        felt_across=felt_across(Observer(machine)),
         partly_felt=True,
     )
 

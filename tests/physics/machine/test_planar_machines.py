@@ -9,9 +9,10 @@ import pytest
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
+from cablesense_contact.machine.felt_directions import felt_across, is_planar
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
-from cablesense_sim.machine.felt_directions import felt_across, is_planar
+from cablesense_contact.machine.observation import Observer
 from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import example_machine, written_machine
 
@@ -34,14 +35,22 @@ touch:
 """
 
 
-def rod_model(axis: str = "0 1 0") -> str:
-    """A rod of links on springs, bent by one wire above it that a servo draws."""
+def rod_model(axis: str = "0 1 0", across: str = "") -> str:
+    """A rod of links on springs, bent by one wire above it that a servo draws.
+
+    With an axis `across` every link has a second hinge about it.
+    """
     inside = ""
+    second = ""
     for n in range(LINKS, 0, -1):
         at_m = LENGTH_M if n > 1 else 0.0
+        if across:
+            spring = 'type="hinge" stiffness="1.5" damping="0.1"'
+            second = f'<joint name="sway_{n}" axis="{across}" {spring}/>'
         inside = f"""
         <body name="link_{n}" pos="{at_m} 0 0">
           <joint name="bend_{n}" type="hinge" axis="{axis}" stiffness="1.5" damping="0.1"/>
+          {second}
           <geom type="capsule" fromto="0 0 0 {LENGTH_M} 0 0" size="0.003" mass="0.008"/>
           <site name="guide_{n}" pos="{LENGTH_M / 2} 0 0.006"/>
           {inside}
@@ -107,10 +116,12 @@ def test_parallel_hinges_feel_forces_across_them(tmp_path: Path, angle: float) -
     machine = written_machine(tmp_path, rod_model(axis), ROD_FILE)
     across: Array = np.array([-hinge[1], hinge[0]])
     in_frame = machine.links.axes[0, 1:, 1:].T @ across
-    np.testing.assert_allclose(felt_across(machine)[0], np.outer(in_frame, in_frame), atol=1e-9)
+    np.testing.assert_allclose(
+        felt_across(Observer(machine))[0], np.outer(in_frame, in_frame), atol=1e-9
+    )
 
 
 def test_only_the_first_link_of_crossed_hinges_is_felt_in_a_plane() -> None:
     machine = example_machine("seven_hinges")
-    planar = is_planar(felt_across(machine))
+    planar = is_planar(felt_across(Observer(machine)))
     assert planar.tolist() == [True] + [False] * 6
