@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from cablesense_contact.inference.session import open_session
 from cablesense_contact.machine.law import EVIDENCE, STATED, evidence_of
 from cablesense_contact.machine.model_file import MachineMetadata
 from cablesense_contact.machine.observation import Observer
+from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Machine
-from cablesense_sim.machine.simulated import SimulatedMachine
+from cablesense_sim.machine.simulated import AtRest, SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import TRACED_ROWS, to_onnx
@@ -30,6 +32,8 @@ _TRIAL_ROWS = 12
 """On which an exported statement is compared with the original."""
 _PUSH_SHARE = 0.05
 """Of these the forces, as a share of the largest that is expected."""
+_BORNE_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
+"""Of these forces what is tried, until the machine bears it."""
 
 
 class _Traced(torch.nn.Module):
@@ -86,11 +90,28 @@ def _trial(machine: Machine) -> dict[str, Array]:
         link = row % len(machine.links.names)
         point_m = np.array([machine.links.touched_m[link].mean(), 0.0, 0.0])
         force = LinkForce(link, point_m, push_n * rng.normal(size=3))
-        touched = nominal.touched(command, [force], untouched)
+        touched = _touched_as_borne(nominal, command, force, untouched)
         reading = machine.channels.read(touched.values, rng)
         seen = observer.observe(reading, command, parameters.prior_mean, covariance, still)
         observed.append(seen)
     return evidence_of(observed, machine.source.file.touch.largest_n)
+
+
+def _touched_as_borne(
+    nominal: SimulatedMachine, command: Array, force: LinkForce, untouched: AtRest
+) -> AtRest:
+    """The machine at rest under a force, or under what it bears of it.
+
+    Raises:
+        MachineError: it does not bear a hundredth.
+    """
+    *larger, least = (replace(force, force_n=share * force.force_n) for share in _BORNE_SHARES)
+    for borne in larger:
+        try:
+            return nominal.touched(command, [borne], untouched)
+        except MachineError:
+            continue
+    return nominal.touched(command, [least], untouched)
 
 
 def _require_agreement(
