@@ -7,7 +7,7 @@ all that there is; in E it takes its share, and the unlisted effect has the rest
 
     P(S) = Σ_E P(S, E)
 
-and an effect is as probable as the sets that have it. docs/decisions.md derives it.
+and an effect is as probable as the sets that have it. docs/diagnosis_method.md derives it.
 """
 
 from __future__ import annotations
