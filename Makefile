@@ -63,7 +63,7 @@ build/compiled-all: build/compiled
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
 
 site: setup build/mypy  ## the documentation as a site, in build/site
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 reference: setup  ## docs/ros_reference.md again, its tables of topics and parameters from the code
 	@$(BIN)/python .ci/reference > build/ros_reference.md

@@ -16,7 +16,7 @@ PACKAGES = ("cablesense_sim", "cablesense_training", "cablesense_gap", "cablesen
 
 @pytest.mark.slow
 def test_the_site_builds_with_every_link_right_and_every_public_name(tmp_path):
-    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict"]
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict"]
     done = subprocess.run(
         [*build, "--site-dir", tmp_path], cwd=CHECKOUT, capture_output=True, check=False, text=True
     )
