@@ -44,9 +44,6 @@ _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
 _KNOWN_SHARE = 0.3
 """A force is known if half of its interval is below this share of it, or small."""
-_AS_WELL = 0.5
-"""It is known, too, if the relative deviation of its moment is above this share of its own: the
-moment in its place would say no more."""
 
 
 class ContactState(Enum):
@@ -135,7 +132,7 @@ class Judge:
         probabilities = weights / weights.sum()
         touched = contact >= self._log_odds
 
-        known = self._force_is_known(seen)
+        known = self._force_is_known(seen, segment)
         rivals = sorted(
             self._rivals_of(seen, touched=touched, known=known),
             key=lambda rival: -rival.log_weight,
@@ -185,19 +182,19 @@ class Judge:
             return ContactState.UNCONFIRMED, best.sentence
         return (ContactState.CONTACT if known else ContactState.MOMENT), ""
 
-    def _force_is_known(self, seen: LawOutput) -> bool:
+    def _force_is_known(self, seen: LawOutput, link: int) -> bool:
         """Whether readings determine the lateral force; else the moment about the joint is.
 
-        Near the joint a force may be any, so that its mean is far outside its interval.
+        Near the joint a force may be any, so that its mean is far outside its interval. Where the
+        place is given, the moment in place of the force would say no more.
         """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
-        half_n = 0.5 * (high_n - low_n)
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
-        is_narrow = half_n <= max(self._known_n, _KNOWN_SHARE * size_n)
-        moment_n_m = float(np.hypot(*seen.moment_n_m[0]))
-        moment_half_n_m = NORMAL_95 * float(np.hypot(*seen.moment_std_n_m[0]))
-        is_as_well = moment_half_n_m * size_n >= _AS_WELL * half_n * moment_n_m
-        return (is_narrow or is_as_well) and low_n <= size_n <= high_n
+        is_narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
+        on_others = np.delete(seen.contact_evidence[0], link) - seen.contact_evidence[0, link]
+        is_there = float(np.exp(on_others).sum()) <= DOUBTED_ABOVE
+        place_is_given = bool(self._is_one_place[link]) and is_there
+        return (is_narrow or place_is_given) and low_n <= size_n <= high_n
 
     def _link(self, number: int) -> str:
         """A link's name in a sentence: `segment 2` of an arm."""

@@ -157,7 +157,9 @@ class TendonPaths:
         A geom that is not touched has the point of the straight way that is nearest to it, where
         the tendon comes to touch it.
         """
-        before = self._data.site_xpos[self._sites]
+        # a tendon that joints alone define has no sites, and its points are not used
+        sites = self._data.site_xpos if self._model.nsite else np.zeros((1, 3))
+        before = sites[self._sites]
         behind = before.copy()
         wrapped = self._wrapped()
         for one in self._geoms:
