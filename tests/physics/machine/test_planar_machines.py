@@ -13,6 +13,8 @@ from cablesense_contact.machine.felt_directions import felt_across, is_planar
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
+from cablesense_sim.machine.simulated import SimulatedMachine
+from cablesense_sim.machine.statics import LinkForce
 from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import example_machine, written_machine
 
@@ -125,3 +127,63 @@ def test_only_the_first_link_of_crossed_hinges_is_felt_in_a_plane() -> None:
     machine = example_machine("seven_hinges")
     planar = is_planar(felt_across(Observer(machine)))
     assert planar.tolist() == [True] + [False] * 6
+
+
+def test_a_wire_feels_forces_in_its_plane_though_the_rod_bends_in_all_directions(
+    tmp_path: Path,
+) -> None:
+    machine = written_machine(tmp_path, rod_model(across="0 0 1"), ROD_FILE)
+    upwards = machine.links.axes[0, 2, 1:]
+    projection = felt_across(Observer(machine))[0]
+    np.testing.assert_allclose(projection, np.outer(upwards, upwards), atol=0.01)
+
+
+BELT_MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" stiffness="2"/>
+      <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="0.2"/>
+      <body name="lower" pos="0.2 0 0">
+        <joint name="elbow" axis="0 1 0" stiffness="2"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="0.2"/>
+      </body>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="belt">
+      <joint joint="shoulder" coef="0.02"/>
+      <joint joint="elbow" coef="0.01"/>
+    </fixed>
+  </tendon>
+  <actuator><position name="motor" tendon="belt" kp="5000"/></actuator>
+</mujoco>
+"""
+
+BELT_FILE = """
+joints: actuators
+sensors:
+  tension: {of: [belt], noise_std: 0.05}
+cables: {pretension_n: 200}
+touch:
+  largest_n: 5
+  links:
+    - {link: lower, start_m: [0.199, 0, 0], end_m: [0.2, 0, 0]}
+"""
+
+
+def test_joints_alone_may_define_a_tendon(tmp_path: Path) -> None:
+    """Two joints that one motor turns by belts: there is no site in the whole model."""
+    machine = written_machine(tmp_path, BELT_MODEL, BELT_FILE)
+    felt = FeltModel(machine)
+    law = MachineLaw(machine, TorchStater(machine))
+    exact = np.zeros(len(law.observer.parameters))
+    nominal = SimulatedMachine(machine, law.observer.parameters, exact)
+    command = law.observer.command_of(machine.reference)
+    untouched = nominal.untouched(command)
+    push = LinkForce(0, np.array([0.1995, 0.0, 0.0]), np.array([0.0, 0.0, -0.5]))
+    reading = nominal.touched(command, (push,), untouched).values
+    known = np.outer(exact, exact)
+    seen = law(reading[None], command[None], exact, known, np.zeros((2, 2)))
+    assert Judge(felt)(seen, reading).state is ContactState.CONTACT
+    assert seen.force_n[0, 2] == pytest.approx(-0.5, rel=0.05)
