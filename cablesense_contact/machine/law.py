@@ -101,7 +101,7 @@ class MachineLaw:
                 for old, new, keep in zip(observed, renewed, keeps, strict=True)
             ]
             stated = self._stated(observed) if keeps.any() else restated
-        parts = Observation._make(np.stack(column) for column in zip(*observed, strict=True))
+        parts = _stacked(observed)
         return LawOutput(
             **stated,
             innovation_n=parts.innovation,
@@ -154,7 +154,7 @@ class MachineLaw:
 def evidence_of(observed: Sequence[Observation], largest_n: float) -> dict[str, Array]:
     """`EVIDENCE` of observations, in a unit of force by which `largest_n` is `GRAPH_FORCE_N`."""
     scale = GRAPH_FORCE_N / largest_n
-    seen = Observation._make(np.stack(column) for column in zip(*observed, strict=True))
+    seen = _stacked(observed)
     innovation = seen.innovation[:, None]
     pull = innovation @ seen.information
     informed_by_torque = seen.information @ seen.by_torque
@@ -172,3 +172,11 @@ def evidence_of(observed: Sequence[Observation], largest_n: float) -> dict[str, 
         "levers": seen.levers,
         "by_torsion": seen.torsion,
     }
+
+
+def _stacked(observed: Sequence[Observation]) -> Observation:
+    """The observations of B readings as one, with a leading axis."""
+    if len(observed) == 1:
+        # of a single reading, as a node has, no number is copied
+        return Observation._make(part[np.newaxis] for part in observed[0])
+    return Observation._make(np.stack(column) for column in zip(*observed, strict=True))
