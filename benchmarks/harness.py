@@ -12,6 +12,7 @@ import os
 import platform
 import re
 import resource
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -54,7 +55,7 @@ def origin(*libraries: str) -> dict[str, Any]:
 
     Without the places of files, which change no figure.
     """
-    command = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    command = shlex.join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     command = re.sub(r" --folder \S+", "", command)
     return {
         "command": "python " + re.sub(r"(--data|--recordings|--out) \S+", r"\1 DIR", command),
