@@ -168,7 +168,7 @@ def test_a_wrong_parameter_ends_a_node_with_one_line(node, parameters, reason, t
     [
         (EstimatorNode, {"model": "none.onnx"}, "none.onnx"),
         (CanDriverNode, {"map": "none"}, "bundled channel maps are"),
-        (CanDriverNode, {"calibration": "none.yaml"}, "none.yaml: cannot be read"),
+        (CanDriverNode, {"sensor_calibration_file": "none.yaml"}, "none.yaml: cannot be read"),
         (CanDriverNode, {"interface": "none"}, "unknown to python-can"),
     ],
 )
