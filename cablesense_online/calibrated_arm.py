@@ -102,6 +102,7 @@ class CalibratedArm:
         self.calibrator = Calibrator(machine, law)
         self._law = law
         self._settings = settings
+        self._channels = machine.channels
         self._judge = Judge(machine)
         self._slides = machine.slides
         self._still = still(machine)
@@ -137,7 +138,9 @@ class CalibratedArm:
             TareError: too few readings, unsteady ones, or, unless `forced`, ones that are not
                 those of the untouched arm.
         """
-        unloaded = unloaded_reading(state, self._settings, now_ns, state.way.came_from_rad)
+        unloaded = unloaded_reading(
+            state, self._settings, self._channels, now_ns, state.way.came_from_rad
+        )
         update = self._updated(state.calibration, unloaded, forced=forced)
         tare = Tare(unloaded, by_itself, update.misfit)
         return replace(

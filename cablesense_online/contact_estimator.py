@@ -190,7 +190,8 @@ class ContactEstimator:
         if breath.known or not self.settings.await_breath:
             most = self.settings.tare_samples
             state = replace(state, unloaded=with_reading(state.unloaded, freed_n, most))
-        if state.unloaded.automatic and not refusal(state.unloaded, self.settings):
+        channels = self._machine.channels
+        if state.unloaded.automatic and not refusal(state.unloaded, self.settings, channels):
             return self._tared_by_itself(state, stamp_ns)
         motion = state.motion
         unrest = self.gate.unrest(motion)

@@ -10,6 +10,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import (
     MOST_KEPT,
@@ -45,6 +46,7 @@ class TaredArm:
 
     def __init__(self, arm: Arm, settings: EstimationSettings) -> None:
         self._settings = settings
+        self._channels = FeltArm(arm).channels
         self._nominal = mechanism_of(arm)
         self._mechanism = amended(self._nominal, entries_of(arm))
         self._limit_n = settings.tare_deviation_n or math.inf
@@ -94,7 +96,7 @@ class TaredArm:
             TareError: too few readings, unsteady ones, or, unless `forced`, ones that lie too far
                 from the arm file's.
         """
-        unloaded = unloaded_reading(state, self._settings, now_ns)
+        unloaded = unloaded_reading(state, self._settings, self._channels, now_ns)
         state = self.predicted(state)
         assert state.predicted_n is not None
         off_n = unloaded.reading_n - state.predicted_n
