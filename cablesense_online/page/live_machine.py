@@ -23,6 +23,7 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_online.page.headline import headline
 from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
@@ -31,7 +32,6 @@ from cablesense_online.page.snapshot import (
     PlaceInterval,
     ShownStatus,
     Snapshot,
-    headline,
 )
 from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_sim.joint_motion import JointMotion
