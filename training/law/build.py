@@ -81,9 +81,8 @@ def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _Sens
         reading_variance_n2(arm.sensors),
         cable_friction(arm),
         touched_places(arm),
+        unexplained_n2=unexplained_n2,
     )
-    # which cables are taut is seen by the sensors' own noise
-    estimator.measurement.reading_variance_n2 += unexplained_n2
     listed = _listed_sensing(arm)
     return estimator if listed.is_perfect else _SensedEstimator(estimator, listed)
 
