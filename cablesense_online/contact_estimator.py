@@ -33,7 +33,7 @@ from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathState, Mark, after_reading
 from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_online.contacts import ContactFinder, FoundContacts, Situation
-from cablesense_online.motion import Motion, MotionGate
+from cablesense_online.motion import CommandedMotion, MotionGate
 from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, Stamps, slack_cables
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import TareError, UnloadedState, refusal, with_reading
@@ -76,7 +76,7 @@ class EstimationState:
         tare_problem: why the last automatic tare was not taken; empty where it was.
     """
 
-    motion: Motion
+    motion: CommandedMotion
     unloaded: UnloadedState[Any]
     stamps: Stamps = field(default_factory=Stamps)
     breath: BreathState = field(default_factory=BreathState)

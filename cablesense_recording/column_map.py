@@ -41,7 +41,7 @@ class TimeColumn(FilePart):
     unit: str = "s"
 
 
-class Channels(FilePart):
+class NamedColumns(FilePart):
     """The channels of all cables, or of all joint angles.
 
     Attributes:
@@ -61,7 +61,7 @@ class Channels(FilePart):
     held: tuple[Number, ...] = ()
 
     @model_validator(mode="after")
-    def _one_source(self) -> Channels:
+    def _one_source(self) -> NamedColumns:
         if self.held and (self.columns or self.topic):
             raise ValueError("= held: the values that hold all the time leave no columns or topic")
         return self
@@ -94,8 +94,8 @@ class ColumnMap(FilePart):
     """
 
     time: TimeColumn = TimeColumn()
-    tensions: Channels = Channels()
-    commands: Channels = Channels()
+    tensions: NamedColumns = NamedColumns()
+    commands: NamedColumns = NamedColumns()
     trial: str = ""
     loads: Loads | None = None
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import plain_name
-from cablesense_recording.column_map import FORCE_UNITS, LENGTH_UNITS, Channels, ColumnMap
+from cablesense_recording.column_map import FORCE_UNITS, LENGTH_UNITS, ColumnMap, NamedColumns
 from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
 from cablesense_recording.first_command import FirstCommand
 from cablesense_recording.layout import Described, Layout, layout_of
@@ -167,7 +167,7 @@ def _numbers(
     path: Path,
     raw: RawMessage,
     message: Any,
-    channels: Channels,
+    channels: NamedColumns,
     names: Sequence[str],
     usual_field: str,
 ) -> Array:

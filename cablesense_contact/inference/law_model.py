@@ -12,7 +12,7 @@ from cablesense_contact.errors import EstimateError, ModelFileError
 from cablesense_contact.inference.metadata import ANYWHERE
 from cablesense_contact.inference.model_file import one_line, read_model
 from cablesense_contact.inference.session import fits, open_session
-from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.uncertain_arm import arm_parameters
 
@@ -50,7 +50,7 @@ class LawModel:
             )
         inputs = tuple(entry.name for entry in model.graph.input)
         answers = tuple(entry.name for entry in model.graph.output)
-        if inputs != INPUTS or answers != LawOutput._fields:
+        if inputs != GRAPH_INPUTS or answers != LawOutput._fields:
             raise ModelFileError(
                 f"{path}: a model of contacts anywhere of an earlier version, without tolerances; "
                 "make it again with `cablesense export` (seconds)"
@@ -89,7 +89,7 @@ class LawModel:
             rows = slice(first, first + _ROWS_AT_ONCE)
             inputs = (reading_n[rows], command_rad[rows], mean, covariance, unrest_n2_m2)
             try:
-                parts.append(self._session.run(None, dict(zip(INPUTS, inputs, strict=True))))
+                parts.append(self._session.run(None, dict(zip(GRAPH_INPUTS, inputs, strict=True))))
             except Exception as error:  # ONNX Runtime's classes have no common base
                 raise self._cannot_run(error) from error
         if len(parts) == 1:

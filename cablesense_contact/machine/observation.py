@@ -29,7 +29,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.machine.sensitivity import ParameterSources, Sensitivity
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
@@ -148,7 +148,7 @@ class Observer:
         self._contact_covariance = self._prior_of_torques()
         self._equations = _known_equations(machine)
         rubs = machine.source.file.cables.friction_coefficient > 0.0
-        self._friction = TendonFriction(machine) if rubs else None
+        self._friction = CarriedTendonFriction(machine) if rubs else None
 
     def observe(
         self,

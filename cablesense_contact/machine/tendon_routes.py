@@ -8,7 +8,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import MOVED_STD
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
@@ -26,7 +26,7 @@ class TendonRoutes:
             measured, tensions are what drives give, and nothing is followed.
     """
 
-    def __init__(self, machine: Machine, friction: TendonFriction) -> None:
+    def __init__(self, machine: Machine, friction: CarriedTendonFriction) -> None:
         channels = machine.channels
         tendons = machine.tendons
         is_tension = channels.tendon >= 0

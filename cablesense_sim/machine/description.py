@@ -39,7 +39,7 @@ _NotNegative = Annotated[Number, Field(ge=0.0)]
 _Share = Annotated[Number, Field(ge=0.0, le=0.5)]
 
 
-class Channels(FilePart):
+class SensorGroup(FilePart):
     """Sensors of one kind: whose forces they read, their noise, step and range.
 
     Attributes:
@@ -55,7 +55,7 @@ class Channels(FilePart):
     range: tuple[Number, Number] | None = None
 
     @model_validator(mode="after")
-    def _is_possible(self) -> Channels:
+    def _is_possible(self) -> SensorGroup:
         if len(set(self.of)) < len(self.of):
             raise ValueError("names a tendon or joint twice; each has one sensor")
         if self.noise_std == 0.0 and self.step == 0.0:
@@ -73,8 +73,8 @@ class Sensors(FilePart):
         torque: of joints: what the drive gives, as `effort` of `joint_states`.
     """
 
-    tension: Channels | None = None
-    torque: Channels | None = None
+    tension: SensorGroup | None = None
+    torque: SensorGroup | None = None
 
     @model_validator(mode="after")
     def _reads_something(self) -> Sensors:
