@@ -10,8 +10,8 @@ from cablesense_base import Array
 from cablesense_contact.commands import require_commands
 from cablesense_contact.errors import EstimateError, ModelFileError
 from cablesense_contact.inference.metadata import ANYWHERE
-from cablesense_contact.inference.model_file import one_line, read_model
-from cablesense_contact.inference.session import fits, open_session
+from cablesense_contact.inference.model_file import read_model
+from cablesense_contact.inference.session import EXPORT_AGAIN, cannot_run, fits, open_session
 from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.uncertain_arm import arm_parameters
@@ -58,7 +58,7 @@ class LawModel:
         try:
             self._session = open_session(model)
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise self._cannot_run(error) from error
+            raise cannot_run(self._source, error, EXPORT_AGAIN) from error
         self._require_answers()
 
     @property
@@ -91,7 +91,7 @@ class LawModel:
             try:
                 parts.append(self._session.run(None, dict(zip(GRAPH_INPUTS, inputs, strict=True))))
             except Exception as error:  # ONNX Runtime's classes have no common base
-                raise self._cannot_run(error) from error
+                raise cannot_run(self._source, error, EXPORT_AGAIN) from error
         if len(parts) == 1:
             return LawOutput._make(parts[0])
         return LawOutput._make(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -116,9 +116,3 @@ class LawModel:
                 f"{self._source}: its answer for an idle arm is not finite, or not of "
                 f"{size} parameters; make it again with `cablesense export`"
             )
-
-    def _cannot_run(self, error: Exception) -> ModelFileError:
-        return ModelFileError(
-            f"{self._source}: ONNX Runtime cannot run it ({one_line(error)}); make it again with "
-            "`cablesense export`"
-        )

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_bytes, read_bounded_text
 from cablesense_base.plain_yaml import FilePart, Number, read_plain
+from cablesense_sim.tolerances import StandardDeviations
 
 MAX_FILE_BYTES = 200_000
 """A machine file is a page or two of text."""
@@ -157,7 +158,7 @@ class Touch(FilePart):
         return self
 
 
-class MachineTolerances(FilePart):
+class MachineTolerances(StandardDeviations):
     """By how much a built machine may differ from its model: one standard deviation each.
 
     The defaults are those of a careful workshop, as those of the arm file (`Tolerances`).
@@ -191,12 +192,6 @@ class MachineTolerances(FilePart):
     joint_noise_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = 0.005
     joint_noise_m: Annotated[Number, Field(ge=0.0, le=0.02)] = 1e-5
     drift_per_hour: _NotNegative = 1.0
-
-    def scaled(self, factor: float) -> MachineTolerances:
-        """All of them times a factor; zero states that the machine equals its model."""
-        return self.model_copy(
-            update={name: factor * value for name, value in self.model_dump().items()}
-        )
 
 
 class MachineFile(FilePart):

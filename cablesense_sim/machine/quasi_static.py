@@ -140,11 +140,6 @@ class QuasiStaticMachine:
         """(n,) at the last rest."""
         return self._pose.copy()
 
-    @property
-    def piece_tensions_n(self) -> Array:
-        """(K, S) of the pieces at the last rest."""
-        return self._tensions_n.copy()
-
     def _compliance_m_n(self, run_compliance: float) -> Array:
         """(K, S) of the pieces, by their lengths in the reference pose; the first has the run."""
         length_m = self._paths.at(self._simulated.machine.reference).length_m

@@ -26,13 +26,13 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
 from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, TendonGuides
 from cablesense_sim.machine.tendon_paths import TendonPaths
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import (
     bent_command,
     example_machine,
     machine_with_friction,
     written_machine,
 )
+from tests.helpers.torch_stater import TorchStater
 
 EXAMPLES = ("finger", "hand", "seven_hinges", "continuum")
 COEFFICIENT = 0.2
@@ -234,7 +234,7 @@ def carried_by(
 ) -> Array:
     """(G M,) what a machine that rubs carries at its guides, by the tensions on both sides."""
     paths = TendonPaths(machine)
-    tension_n = moving.piece_tensions_n
+    tension_n = moving._tensions_n  # of each piece, which no sensor reads
     wrap_rad = friction.guides.at(moving.pose).wrap_rad
     carried = np.zeros(wrap_rad.shape)
     for row in range(len(wrap_rad)):

@@ -17,8 +17,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.law.build import TorchLaw
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import example_machine, machine_of_two_motors
+from tests.helpers.torch_stater import TorchStater
 
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
