@@ -20,9 +20,9 @@ from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 _POSE_STEP_RAD = 2e-3
 """The pose follows a set-point in motion only beyond this distance: a new pose costs
 milliseconds."""
-_KEPT = 0.8
+_AVERAGE_KEPT_SHARE = 0.8
 """Share of the last average of changes of the command that each new one keeps."""
-_NOISE = 0.5
+_NOISE_SHARE = 0.5
 """Share of their mean size below which the mean of changes is noise: these cancel."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
@@ -87,7 +87,7 @@ class CommandedMotion:
     def noisy(self) -> bool:
         """Whether the latest commands go back and forth, as an encoder's readings at rest do."""
         net_rad = float(np.linalg.norm(self.net_turn_rad))
-        return net_rad < _NOISE * self.turns_rad
+        return net_rad < _NOISE_SHARE * self.turns_rad
 
     @property
     def waiting_anew(self) -> CommandedMotion:
@@ -142,8 +142,10 @@ class MotionGate:
         return replace(
             motion,
             command_rad=command_rad.copy(),
-            net_turn_rad=_KEPT * motion.net_turn_rad + (1.0 - _KEPT) * turn_rad,
-            turns_rad=_KEPT * motion.turns_rad + (1.0 - _KEPT) * size_rad,
+            net_turn_rad=_AVERAGE_KEPT_SHARE * motion.net_turn_rad
+            + (1.0 - _AVERAGE_KEPT_SHARE) * turn_rad,
+            turns_rad=_AVERAGE_KEPT_SHARE * motion.turns_rad
+            + (1.0 - _AVERAGE_KEPT_SHARE) * size_rad,
             heading=True,
             starting=motion.starting or not self.follows(motion, command_rad),
         )

@@ -19,7 +19,7 @@ from cablesense_contact.calibration import Calibration, Unloaded
 from cablesense_contact.felt import ChannelLimits, FeltMachine
 from cablesense_online.settings import EstimationSettings
 
-MOST_KEPT = 16
+MOST_UNDOABLE = 16
 """How many times a tare can be undone."""
 _ONE_POSE_RAD = 1e-3
 """Readings of a tare are of poses within this of the first."""

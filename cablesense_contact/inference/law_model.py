@@ -74,7 +74,9 @@ class LawModel:
         covariance: Array,
         unrest_n2_m2: Array,
     ) -> LawOutput:
-        """See `cablesense_contact.law.Law`.
+        """What readings (B, M) say at commands (B, 2N), by parameters with a mean (P,).
+
+        The parameters have the covariance (P, P), torques by motion `unrest_n2_m2` (2N, 2N).
 
         Raises:
             EstimateError: a reading or a command is not finite, or a command is more than half a

@@ -31,7 +31,9 @@ _SLACK_BELOW_STD = 4.0
 
 
 class FeltModel:
-    """See `felt.FeltMachine`; its frames are those of the model's bodies.
+    """A machine that MuJoCo describes as estimates see it: a `felt.FeltMachine`.
+
+    Its frames are those of the model's bodies.
 
     Attributes:
         source: the machine.

@@ -61,7 +61,7 @@ class GraphStater:
             raise cannot_run(self._source, error, EXPORT_AGAIN) from error
 
     def __call__(self, evidence: Mapping[str, Array]) -> Mapping[str, Any]:
-        """See `law.Stater`.
+        """What is stated, arrays by the names `STATED`, of evidence by the names `EVIDENCE`.
 
         Raises:
             ModelFileError: ONNX Runtime cannot run it.

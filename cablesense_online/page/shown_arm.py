@@ -66,7 +66,7 @@ _JOINT_RGB: Rgb = (188, 196, 208)
 
 
 class ShownArm:
-    """See `shown.ShownMachine`; its bodies are the base and the segments."""
+    """An arm on the page: a `shown.ShownMachine` whose bodies are the base and the segments."""
 
     def __init__(self, arm: Arm) -> None:
         mechanism = mechanism_of(arm)

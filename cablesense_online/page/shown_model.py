@@ -44,7 +44,7 @@ _TORQUE_SCALE_N_M = 1.0
 
 
 class ShownModel:
-    """See `shown.ShownMachine`; its bodies are those of the model."""
+    """A machine on the page: a `shown.ShownMachine` whose bodies are those of the model."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine

@@ -5,14 +5,14 @@ import pytest
 from cablesense_recording.first_command import FirstCommand
 
 
-def began(readings_ns, commands_ns):
+def first_command(readings_ns, commands_ns):
     """Of messages at these times, in their order."""
-    begin = FirstCommand("joint_commands")
-    kinds = [(time, begin.reading) for time in readings_ns]
-    kinds += [(time, begin.command) for time in commands_ns]
+    first = FirstCommand("joint_commands")
+    kinds = [(time, first.reading) for time in readings_ns]
+    kinds += [(time, first.command) for time in commands_ns]
     for time, take in sorted(kinds, key=lambda kind: kind[0]):
         take(time)
-    return begin
+    return first
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def began(readings_ns, commands_ns):
 def test_a_first_command_comes_inside_unless_it_is_of_a_stream(
     readings_ns, commands_ns, rows_before, comes_inside
 ):
-    begin = began(readings_ns, commands_ns)
-    assert begin.rows_before == rows_before
-    assert begin.comes_inside == comes_inside
-    assert len(begin.notes) == (rows_before > 0)
+    first = first_command(readings_ns, commands_ns)
+    assert first.rows_before == rows_before
+    assert first.comes_inside == comes_inside
+    assert len(first.notes) == (rows_before > 0)
