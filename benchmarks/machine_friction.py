@@ -33,7 +33,7 @@ from cablesense_contact.felt import FeltMachine
 from cablesense_contact.judgement import ContactState, Judgement
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_sim.machine.description import MachineError
@@ -147,7 +147,7 @@ class NotFollowed(FeltModel):
     @property
     def slides(self) -> CableSlides:
         """Never followed."""
-        routes = TendonRoutes(self.source, TendonFriction(self.source))
+        routes = TendonRoutes(self.source, CarriedTendonFriction(self.source))
         routes.are_followed = False
         return CableSlides(routes, FrictionParameters.of(self.parameters))
 

@@ -49,14 +49,17 @@ class ArmRoutes:
         self.moved_n = MOVED_STD * math.sqrt(reading_variance_n2(arm.sensors))
 
     def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:
-        """See `CableRoutes`: spans count, as what lies before and in segments keeps its length."""
+        """(steps + 1, M, N + 2) lengths of pieces on a straight way between commands (2N,).
+
+        Of those before and in segments, which keep their lengths, they are counted as zero.
+        """
         shares = np.linspace(0.0, 1.0, steps + 1)[:, None]
         commands = from_command + shares * (to_command - from_command)
         span_m = kinematics.spans(self._mechanism, commands).length_m
         return np.concatenate([np.zeros_like(span_m[..., :1]).repeat(2, axis=-1), span_m], axis=-1)
 
     def slope_m(self, command: Array) -> Array:
-        """See `CableRoutes`."""
+        """(M, N + 2, 2N) derivatives of the pieces' lengths by the joint angles at a command."""
         mechanism = self._mechanism
         count = mechanism.segment_count
         by_angle = kinematics.cable_jacobian_m(mechanism, command)

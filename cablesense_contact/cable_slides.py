@@ -33,7 +33,7 @@ _STEPS_OF_MOTION = 16
 _TRIFLE = 0.1
 """Friction counts if it makes more than this share of the change that shows that a cable has
 moved."""
-_ROUNDED = 1.0 / 16.0
+_SAME_SLIDE_STEP = 1.0 / 16.0
 """Slides that are nearer to each other count as the same."""
 _FREED_STD = 0.05
 """Deviation of slides after a breath."""
@@ -167,11 +167,13 @@ class CableSlides:
 
     def rounded(self, slides: Slides) -> tuple[bytes, Slides]:
         """Slides to a sixteenth, and a key of them: nearly the same ones are one."""
-        mean = np.rint(slides.mean / _ROUNDED)
-        std = np.maximum(np.rint(slides.std / _ROUNDED), 1.0)
-        common = np.rint(slides.common / _ROUNDED)
+        mean = np.rint(slides.mean / _SAME_SLIDE_STEP)
+        std = np.maximum(np.rint(slides.std / _SAME_SLIDE_STEP), 1.0)
+        common = np.rint(slides.common / _SAME_SLIDE_STEP)
         key = b"".join(part.astype(np.int8).tobytes() for part in (mean, std, common))
-        return key, Slides(_ROUNDED * mean, _ROUNDED * std, _ROUNDED * common)
+        return key, Slides(
+            _SAME_SLIDE_STEP * mean, _SAME_SLIDE_STEP * std, _SAME_SLIDE_STEP * common
+        )
 
     def carried(self, known: Belief, slides: Slides) -> Belief:
         """What is known with these slides: the mean and covariance of what friction carries."""

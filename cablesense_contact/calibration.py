@@ -21,16 +21,13 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_contact.chi_squared import limit_at, probability_above
+from cablesense_contact.chi_squared import IMPROBABLE, limit_at, probability_above
 from cablesense_contact.felt import FeltMachine, still
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 
-REFUSED_BELOW = 1e-6
-"""Probability, by the innovation's χ², below which an unloaded reading is refused: it is not one
-of this arm without a load."""
 DOUBTED_BELOW = 1e-4
-"""The same of all innovations together, below which the tolerances are doubted."""
+"""Probability, by the χ² of all innovations together, below which the tolerances are doubted."""
 _ITERATIONS = 15
 """Of the fit: one that needs more does not converge."""
 _CONVERGED_N = 1e-4
@@ -337,10 +334,10 @@ class Calibrator:
         return self._machine.drift_per_hour * abs(to_ns - from_ns) / 3.6e12
 
     def _require_unloaded(self, misfit: float, count: int, *, force: bool) -> None:
-        if probability_above(misfit, count) < REFUSED_BELOW and not force:
+        if probability_above(misfit, count) < IMPROBABLE and not force:
             raise CalibrationError(
                 f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
-                f"{count} numbers, where {limit_at(REFUSED_BELOW, count):.0f} would do; is it "
+                f"{count} numbers, where {limit_at(IMPROBABLE, count):.0f} would do; is it "
                 "touched, somewhere else than commanded, or not the arm of the file? Larger "
                 "tolerances in the arm file, or force, accept them"
             )

@@ -48,7 +48,7 @@ class LinksAtPose(NamedTuple):
     by_place: Array
 
 
-class LinkFrames(NamedTuple):
+class LinkFrameOffsets(NamedTuple):
     """Where the links' frames are in the frames that messages name, both fixed to the link.
 
     Attributes:
@@ -166,7 +166,7 @@ class FeltMachine(Protocol):
         ...
 
     @property
-    def link_frames(self) -> LinkFrames | None:
+    def link_frames(self) -> LinkFrameOffsets | None:
         """The links' own frames in these; None where they are the same."""
         ...
 

@@ -33,7 +33,9 @@ _SWING = 2.0
 
 
 class FeltArm:
-    """See `felt.FeltMachine`; its commands are joint angles, and its frames `segment_n`.
+    """An arm of an arm file as estimates see it: a `felt.FeltMachine`.
+
+    Its commands are joint angles, and its frames `segment_n`.
 
     Attributes:
         arm: its file.

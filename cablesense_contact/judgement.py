@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.chi_squared import limit_at
+from cablesense_contact.chi_squared import IMPROBABLE, limit_at
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
@@ -38,11 +38,9 @@ It is then as sure as its intervals, which hold in 95 %. It must be above the pr
 contacts together: where a machine has so few joints that no reading could tell those from one
 contact, their probability stays what it was before the reading.
 """
-IMPROBABLE = 1e-6
-"""Probability of a misfit as large, below which a hypothesis does not explain a reading."""
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
-_KNOWN_SHARE = 0.3
+_KNOWN_SHARE_OF_FORCE = 0.3
 """A force is known if half of its interval is below this share of it, or small."""
 
 
@@ -190,7 +188,7 @@ class Judge:
         """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
-        is_narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE * size_n)
+        is_narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE_OF_FORCE * size_n)
         on_others = np.delete(seen.contact_evidence[0], link) - seen.contact_evidence[0, link]
         is_there = float(np.exp(on_others).sum()) <= DOUBTED_ABOVE
         place_is_given = bool(self._is_one_place[link]) and is_there

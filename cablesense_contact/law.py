@@ -75,7 +75,7 @@ class LawOutput(NamedTuple):
         return LawOutput._make(part[index : index + 1] for part in self)
 
 
-INPUTS = ("reading_n", "command_rad", "mean", "covariance", "unrest_n2_m2")
+GRAPH_INPUTS = ("reading_n", "command_rad", "mean", "covariance", "unrest_n2_m2")
 """Names of the inputs of a model file, in the order of `Law`."""
 
 

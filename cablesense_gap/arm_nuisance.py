@@ -92,12 +92,6 @@ def tolerance_candidates(arm: Arm) -> tuple[Candidate, ...]:
     return tuple(candidates)
 
 
-def expected_parameters(arm: Arm) -> FittedParameters:
-    """Uncertain parameters of an arm that nobody has recorded, by its tolerances."""
-    nothing = NuisancePosterior((), np.zeros(0), np.zeros((0, 0)))
-    return fitted_parameters(arm, arm, nothing)
-
-
 def fitted_parameters(nominal: Arm, amended: Arm, known: NuisancePosterior) -> FittedParameters:
     """Uncertain parameters of an arm after a diagnosis.
 

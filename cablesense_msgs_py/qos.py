@@ -61,7 +61,7 @@ INPUTS: Final = {
     topics.APPLIED_WRENCH: TopicType(WRENCH_TYPE, COMMAND, COMMAND),
     topics.TRIAL: TopicType(NUMBER_TYPE, COMMAND, COMMAND),
 }
-"""The topics that a diagnosis of the arm needs."""
+"""The topics that a diagnosis of the arm reads; it needs all but the offsets and the trials."""
 
 CONTRACT: Final = {
     **INPUTS,
@@ -88,7 +88,9 @@ CONTRACT: Final = {
     "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER),
     "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED, Qos(100, True, True)),
 }
-"""Everything: inputs, the estimator's outputs, what shows the arm; `/tf` where its type is."""
+"""What a run's recording has: inputs, the estimator's outputs, what shows the arm; `/tf` where its
+type is. Left out are `ESTIMATE`, which repeats other topics, and `SIMULATED_TENSIONS`, which come
+back as `CABLE_TENSIONS`."""
 
 
 def resolved(topic: str, namespace: str = "/") -> str:

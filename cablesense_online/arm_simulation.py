@@ -33,7 +33,7 @@ _PERIODS_OF_LAG = 2.0
 
 
 class ArmSimulation:
-    """See `simulation.Simulation`."""
+    """An arm of an arm file that is simulated: a `simulation.Simulation`."""
 
     joint_states_hz = 100.0
     largest_command = MAX_JOINT_ANGLE_RAD

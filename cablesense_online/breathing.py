@@ -49,7 +49,7 @@ _LEAST_RAD: Final = np.radians(0.03)
 """Smallest radius of the circle where the cables' friction asks for less."""
 MOST_RAD: Final = np.radians(2.0)
 """Largest radius of the circle: a larger one is a motion of its own, and is refused."""
-_ROUNDED = 2.0
+_ROUNDED_BRISTLES_FACTOR = 2.0
 """Rounded bristles carry 95 % of their limit after three times the `give_m` of sharp ones."""
 _SLACK_N = 1.0
 """Tension below which a cable is as good as slack."""
@@ -211,7 +211,9 @@ def _grip(arm: Arm, mechanism: Mechanism, command_rad: Array) -> tuple[Array, fl
         if entry.effect.name == "capstan_friction":
             values = entry.values
             grip += values["coefficient"] * (bends_rad + values["pulley_wrap_rad"])
-            give_m = max(give_m, values["give_m"] * (1.0 + _ROUNDED * values["rounding"]))
+            give_m = max(
+                give_m, values["give_m"] * (1.0 + _ROUNDED_BRISTLES_FACTOR * values["rounding"])
+            )
     return grip, give_m
 
 

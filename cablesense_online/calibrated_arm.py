@@ -21,7 +21,7 @@ from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import (
-    MOST_KEPT,
+    MOST_UNDOABLE,
     Tare,
     TareError,
     UnloadedState,
@@ -102,6 +102,7 @@ class CalibratedArm:
         self.calibrator = Calibrator(machine, law)
         self._law = law
         self._settings = settings
+        self._channels = machine.channels
         self._judge = Judge(machine)
         self._slides = machine.slides
         self._still = still(machine)
@@ -131,20 +132,24 @@ class CalibratedArm:
     def taken(
         self, state: CalibratedState, now_ns: int, *, by_itself: bool = False, forced: bool = False
     ) -> CalibratedState:
-        """With a tare of the last readings; see `UnloadedArm`.
+        """With the average of the last readings as a tare, by which the calibration is updated.
+
+        `now_ns` is the time since the epoch. `forced` takes any steady readings.
 
         Raises:
             TareError: too few readings, unsteady ones, or, unless `forced`, ones that are not
                 those of the untouched arm.
         """
-        unloaded = unloaded_reading(state, self._settings, now_ns, state.way.came_from_rad)
+        unloaded = unloaded_reading(
+            state, self._settings, self._channels, now_ns, state.way.came_from_rad
+        )
         update = self._updated(state.calibration, unloaded, forced=forced)
         tare = Tare(unloaded, by_itself, update.misfit)
         return replace(
             self._with_calibration(state, update.calibration),
             automatic=False,
             tares=(*state.tares, tare),
-            earlier=(*state.earlier, state.calibration)[-MOST_KEPT:],
+            earlier=(*state.earlier, state.calibration)[-MOST_UNDOABLE:],
         )
 
     def undone(self, state: CalibratedState) -> CalibratedState:
@@ -168,7 +173,7 @@ class CalibratedArm:
             loaded=True,
             automatic=False,
             tares=(),
-            earlier=(*state.earlier, state.calibration)[-MOST_KEPT:],
+            earlier=(*state.earlier, state.calibration)[-MOST_UNDOABLE:],
         )
 
     def restored(

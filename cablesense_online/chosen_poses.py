@@ -17,14 +17,12 @@ from cablesense_contact.felt import still
 from cablesense_contact.law import Law
 from cablesense_online.movable import TAUT_SHARE, Movable, taut
 
-POSES = 25
-"""Of a commissioning, unless a user states another number."""
-BEND_RAD = float(np.deg2rad(10.0))
-"""Largest joint angle of a pose, unless a user states another one."""
 READINGS = 20
 """Averaged in a pose: fifty lower the deviation of a force by four hundredths."""
-_CANDIDATES = 160
+_FEWEST_CANDIDATES = 160
 """Random poses of which those are chosen that teach most."""
+_CANDIDATES_PER_POSE = 2
+"""At least so many: some leave a cable slack, and the rest are to be chosen among."""
 
 
 class PoseError(CableSenseError):
@@ -34,8 +32,8 @@ class PoseError(CableSenseError):
 def chosen_poses(
     movable: Movable,
     law: Law,
-    count: int = POSES,
-    bend_rad: float = BEND_RAD,
+    count: int,
+    bend_rad: float,
     readings: int = READINGS,
     seed: int = 0,
 ) -> Array:
@@ -54,11 +52,12 @@ def chosen_poses(
     """
     felt = movable.felt
     prior = Calibrator(felt, law).by_tolerances()
-    drawn = movable.candidates(_CANDIDATES, bend_rad, np.random.default_rng(seed))
+    tried = max(_FEWEST_CANDIDATES, _CANDIDATES_PER_POSE * count)
+    drawn = movable.candidates(tried, bend_rad, np.random.default_rng(seed))
     candidates = drawn[taut(movable, drawn, prior)]
     if len(candidates) < count:
         raise PoseError(
-            f"only {len(candidates)} of {_CANDIDATES} poses within {np.rad2deg(bend_rad):.1f} "
+            f"only {len(candidates)} of {tried} poses within {np.rad2deg(bend_rad):.1f} "
             f"degrees leave all cables of {felt.name} above {TAUT_SHARE:.0%} of their pretension; "
             f"{count} are needed: bend less, or give more pretension"
         )

@@ -33,11 +33,11 @@ from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathState, Mark, after_reading
 from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_online.contacts import ContactFinder, FoundContacts, Situation
-from cablesense_online.motion import Motion, MotionGate
+from cablesense_online.motion import CommandedMotion, MotionGate
 from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, Stamps, slack_cables
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import TareError, UnloadedState, refusal, with_reading
-from cablesense_online.transients import RecentMoments, with_moment
+from cablesense_online.transients import RecentTorques, with_torque
 
 _REFUSED = {ProblemKind.CLOCK: ForceState.STALE, ProblemKind.MISFIT: ForceState.IMPLAUSIBLE}
 _ASSUMED_POSE_RAD = 0.01
@@ -70,18 +70,18 @@ class EstimationState:
         stamps: of the samples so far.
         breath: what readings would be without friction.
         breath_rad: (2N,) where a breath has moved the arm, with joint commands; else None.
-        moments: of the last contacts.
+        torques: of the last contacts about the first joint.
         is_commanded: whether any joint command has come; until then the arm is assumed to be
             straight.
         tare_problem: why the last automatic tare was not taken; empty where it was.
     """
 
-    motion: Motion
+    motion: CommandedMotion
     unloaded: UnloadedState[Any]
     stamps: Stamps = field(default_factory=Stamps)
     breath: BreathState = field(default_factory=BreathState)
     breath_rad: Array | None = None
-    moments: RecentMoments = field(default_factory=RecentMoments)
+    torques: RecentTorques = field(default_factory=RecentTorques)
     is_commanded: bool = False
     tare_problem: str = ""
 
@@ -89,7 +89,7 @@ class EstimationState:
     def anew(self) -> EstimationState:
         """The same with samples that begin again: earlier ones do not count any more."""
         return replace(
-            self, unloaded=self.unloaded.without_readings, moments=RecentMoments(), tare_problem=""
+            self, unloaded=self.unloaded.without_readings, torques=RecentTorques(), tare_problem=""
         )
 
     @property
@@ -164,7 +164,7 @@ class ContactEstimator:
             return state, refused(_as_problem(error, ProblemKind.NAMES), stamp_ns)
         slack = slack_cables(readings_n, self._units, self.settings.slack_below_n)
         if state.motion.shut:
-            state = replace(state, moments=RecentMoments())
+            state = replace(state, torques=RecentTorques())
             return state, Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, slack_cables=slack)
         state, answer = self._answered(state, readings_n, stamp_ns)
         return state, replace(answer, slack_cables=slack)
@@ -190,7 +190,8 @@ class ContactEstimator:
         if breath.known or not self.settings.await_breath:
             most = self.settings.tare_samples
             state = replace(state, unloaded=with_reading(state.unloaded, freed_n, most))
-        if state.unloaded.automatic and not refusal(state.unloaded, self.settings):
+        channels = self._machine.channels
+        if state.unloaded.automatic and not refusal(state.unloaded, self.settings, channels):
             return self._tared_by_itself(state, stamp_ns)
         motion = state.motion
         unrest = self.gate.unrest(motion)
@@ -241,8 +242,8 @@ class ContactEstimator:
             return state, finding.force, finding.doubt
         segment = 1 + int(np.argmax(estimate.probabilities[1:]))
         lever_m = float(self._joint_m[segment - 1]) + estimate.place.place_m
-        moments, has_changed = with_moment(state.moments, estimate, lever_m, stamp_ns)
-        state = replace(state, moments=moments)
+        torques, has_changed = with_torque(state.torques, estimate, lever_m, stamp_ns)
+        state = replace(state, torques=torques)
         is_vouched_for = finding.force in (ForceState.CONTACT, ForceState.MOMENT)
         if has_changed and is_vouched_for:
             return state, ForceState.UNCONFIRMED, _TRANSIENT

@@ -125,7 +125,7 @@ class LawContacts:
         self._still = still(machine)
 
     def with_threshold(self, contact_threshold: float) -> LawContacts:
-        """See `ContactFinder`."""
+        """The same with another probability from which on a contact is stated."""
         return LawContacts(
             self._machine, self._law, self.unloaded, contact_threshold, self._hidden_above_n
         )
@@ -133,7 +133,7 @@ class LawContacts:
     def find(
         self, state: CalibratedState, reading_n: Array, situation: Situation
     ) -> tuple[CalibratedState, FoundContacts | None]:
-        """See `ContactFinder`."""
+        """The contacts in a reading (M,), N, and the state after it; None while untared."""
         if not state.known:
             return state, None
         state, seen = self._seen(state, reading_n, situation)
@@ -269,7 +269,7 @@ class NetworkContacts:
         self._contact_m = of_each_segment(arm.segments.contact_m, arm.segment_count)
 
     def with_threshold(self, contact_threshold: float) -> NetworkContacts:
-        """See `ContactFinder`."""
+        """The same with another probability from which on a contact is stated."""
         return NetworkContacts(
             self._file, self._network, self.unloaded, contact_threshold, self._hidden_above_n
         )
@@ -277,7 +277,7 @@ class NetworkContacts:
     def find(
         self, state: TaredState, reading_n: Array, situation: Situation
     ) -> tuple[TaredState, FoundContacts | None]:
-        """See `ContactFinder`."""
+        """The contacts in a reading (M,), N, and the state after it; None while untared."""
         if not state.known:
             return state, None
         state = self.unloaded.predicted(state)

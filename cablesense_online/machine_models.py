@@ -39,20 +39,24 @@ class LoadedMachine(Loaded):
 
     @property
     def is_movable(self) -> bool:
-        """See `Loaded`."""
+        """Whether its joints or actuators are commanded, so that a commissioning can move it."""
         return not self._felt.source.is_measured
 
     def movable(self) -> MovableMachine:
-        """See `Loaded`."""
+        """The machine as a commissioning moves it.
+
+        Raises:
+            MachineError: its joints are measured.
+        """
         return MovableMachine(self._felt)
 
     @property
     def reference_contacts(self) -> Callable[[], ReferenceContacts]:
-        """See `Loaded`."""
+        """Finds the machine at rest under pushes across every link."""
         return self._felt.reference_contacts
 
     def contacts(self, settings: EstimationSettings) -> LawContacts:
-        """See `Loaded`."""
+        """Finds contacts by the law."""
         return law_contacts(self.machine, self._law, settings)
 
 

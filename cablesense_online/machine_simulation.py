@@ -27,7 +27,7 @@ _RATE_HZ = 100.0
 
 
 class MachineSimulation:
-    """See `simulation.Simulation`.
+    """A machine that MuJoCo describes, simulated: a `simulation.Simulation`.
 
     Attributes:
         machine: the machine.

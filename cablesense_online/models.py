@@ -152,11 +152,15 @@ class LoadedModel(Loaded):
 
     @property
     def is_movable(self) -> bool:
-        """See `Loaded`."""
+        """Whether a commissioning can move it: not by a network, which takes no calibration."""
         return self.law is not None
 
     def movable(self) -> Movable:
-        """See `Loaded`."""
+        """The arm as a commissioning moves it.
+
+        Raises:
+            ModelFileError: the model is a network.
+        """
         from cablesense_online.movable_arm import MovableArm
 
         law = self.law
@@ -169,11 +173,11 @@ class LoadedModel(Loaded):
 
     @property
     def reference_contacts(self) -> Callable[[], ReferenceContacts]:
-        """See `Loaded`."""
+        """Finds the arm at rest under pushes across every segment, in several poses."""
         return lambda: ReferenceContacts.of_arm(self.arm)
 
     def contacts(self, settings: EstimationSettings) -> LawContacts | NetworkContacts:
-        """See `Loaded`."""
+        """Finds contacts by the law, or by the network."""
         if isinstance(self.model, LawModel):
             return law_contacts(self.machine, self.model, settings)
         tared = TaredArm(self.arm, settings)

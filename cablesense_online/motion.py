@@ -20,9 +20,9 @@ from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 _POSE_STEP_RAD = 2e-3
 """The pose follows a set-point in motion only beyond this distance: a new pose costs
 milliseconds."""
-_KEPT = 0.8
+_AVERAGE_KEPT_SHARE = 0.8
 """Share of the last average of changes of the command that each new one keeps."""
-_NOISE = 0.5
+_NOISE_SHARE = 0.5
 """Share of their mean size below which the mean of changes is noise: these cancel."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
@@ -38,7 +38,7 @@ LONG_AGO_NS: Final = -(2**62)
 
 
 @dataclass(frozen=True)
-class Motion:
+class CommandedMotion:
     """What is known of the arm's motion at the last sample, and of the commands since.
 
     Attributes:
@@ -87,10 +87,10 @@ class Motion:
     def noisy(self) -> bool:
         """Whether the latest commands go back and forth, as an encoder's readings at rest do."""
         net_rad = float(np.linalg.norm(self.net_turn_rad))
-        return net_rad < _NOISE * self.turns_rad
+        return net_rad < _NOISE_SHARE * self.turns_rad
 
     @property
-    def waiting_anew(self) -> Motion:
+    def waiting_anew(self) -> CommandedMotion:
         """The same, waiting from the next sample on as after a command to the present pose."""
         return replace(self, starting=True, heading=True)
 
@@ -124,10 +124,10 @@ class MotionGate:
         self._settings = settings
         self._settle_ns = settings.settle_s * 1e9
 
-    def at_rest(self, command_rad: Array) -> Motion:
+    def at_rest(self, command_rad: Array) -> CommandedMotion:
         """The arm has been at rest at a command (2N,) for long."""
         rest_rad = command_rad.copy()
-        return Motion(
+        return CommandedMotion(
             command_rad=rest_rad,
             pose_rad=rest_rad,
             course=JointMotion.at_rest(rest_rad, self._settings.joint_speed_rad_s),
@@ -135,20 +135,22 @@ class MotionGate:
             net_turn_rad=np.zeros_like(rest_rad),
         )
 
-    def commanded(self, motion: Motion, command_rad: Array) -> Motion:
+    def commanded(self, motion: CommandedMotion, command_rad: Array) -> CommandedMotion:
         """The motion with another command (2N,) in force."""
         turn_rad = command_rad - motion.command_rad
         size_rad = float(np.linalg.norm(turn_rad))
         return replace(
             motion,
             command_rad=command_rad.copy(),
-            net_turn_rad=_KEPT * motion.net_turn_rad + (1.0 - _KEPT) * turn_rad,
-            turns_rad=_KEPT * motion.turns_rad + (1.0 - _KEPT) * size_rad,
+            net_turn_rad=_AVERAGE_KEPT_SHARE * motion.net_turn_rad
+            + (1.0 - _AVERAGE_KEPT_SHARE) * turn_rad,
+            turns_rad=_AVERAGE_KEPT_SHARE * motion.turns_rad
+            + (1.0 - _AVERAGE_KEPT_SHARE) * size_rad,
             heading=True,
             starting=motion.starting or not self.follows(motion, command_rad),
         )
 
-    def follows(self, motion: Motion, command_rad: Array) -> bool:
+    def follows(self, motion: CommandedMotion, command_rad: Array) -> bool:
         """Whether a command (2N,) would be followed with the gate as it is."""
         settings = self._settings
         off_rad = float(np.abs(command_rad - motion.pose_rad).max())
@@ -163,7 +165,9 @@ class MotionGate:
             and float(np.abs(speed).max()) <= settings.follow_rad_s
         )
 
-    def at_sample(self, motion: Motion, stamp_ns: int, now_ns: int, now_s: float) -> Motion:
+    def at_sample(
+        self, motion: CommandedMotion, stamp_ns: int, now_ns: int, now_s: float
+    ) -> CommandedMotion:
         """The motion at the next sample's stamp.
 
         The sample comes at `now_ns` of the clock that sets stamps, at monotonic time `now_s`.
@@ -183,16 +187,16 @@ class MotionGate:
         motion = _held_shut(motion, now_s)
         return motion if motion.shut else self._at_pose(motion)
 
-    def turning(self, motion: Motion) -> bool:
+    def turning(self, motion: CommandedMotion) -> bool:
         """Whether the joints have turned within the time in which the arm settles."""
         return motion.last_ns - motion.turned_ns < self._settle_ns
 
-    def settling(self, motion: Motion) -> bool:
+    def settling(self, motion: CommandedMotion) -> bool:
         """Whether the arm may swing: within `settle_s` of a turn, or of the end of a wait."""
         since_ns = max(motion.turned_ns, motion.rest_from_ns)
         return motion.last_ns - since_ns <= self._settle_ns
 
-    def unrest(self, motion: Motion) -> Unrest | None:
+    def unrest(self, motion: CommandedMotion) -> Unrest | None:
         """How the joints move on a followed motion; None at rest, and under noisy commands.
 
         The arm swings with the accelerations of the set-points, and settles within `settle_s`.
@@ -202,13 +206,13 @@ class MotionGate:
         _, speed_rad_s, _ = motion.course.state
         return Unrest(speed_rad_s, motion.swing_rad_s2 * self._left_of_swing(motion))
 
-    def _rests(self, motion: Motion, stamp_ns: int) -> bool:
+    def _rests(self, motion: CommandedMotion, stamp_ns: int) -> bool:
         """Whether the arm is at rest, and nothing has happened since the last sample."""
         undisturbed = not (motion.heading or motion.starting or motion.stepped)
         at_rest = motion.last_ns >= motion.rest_from_ns and not motion.course.moving
         return undisturbed and at_rest and stamp_ns >= motion.last_ns > LONG_AGO_NS
 
-    def _headed(self, motion: Motion) -> Motion:
+    def _headed(self, motion: CommandedMotion) -> CommandedMotion:
         """With the set-points on their way to the command from this sample on."""
         turn_rad = float(np.abs(motion.command_rad - motion.course.angle_rad).max())
         course = motion.course.towards(motion.command_rad)
@@ -217,7 +221,9 @@ class MotionGate:
             turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
         return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
 
-    def _waiting_for_course(self, motion: Motion, sampled_s: float, *, first: bool) -> Motion:
+    def _waiting_for_course(
+        self, motion: CommandedMotion, sampled_s: float, *, first: bool
+    ) -> CommandedMotion:
         """Waiting until the set-points must have arrived; a followed command may come earlier.
 
         `sampled_s` is the monotonic time of the stamp; `first` is whether no other came before.
@@ -238,7 +244,7 @@ class MotionGate:
             starting=False,
         )
 
-    def _at_pose(self, motion: Motion) -> Motion:
+    def _at_pose(self, motion: CommandedMotion) -> CommandedMotion:
         """At the pose of the estimates that follows from the set-points."""
         settings = self._settings
         angles_rad = motion.course.angle_rad if motion.course.moving else motion.command_rad
@@ -247,7 +253,7 @@ class MotionGate:
         far = off_rad > _POSE_STEP_RAD or (off_rad and not motion.course.moving)
         return replace(motion, pose_rad=angles_rad) if follows and far else motion
 
-    def _swinging_on(self, motion: Motion) -> Motion:
+    def _swinging_on(self, motion: CommandedMotion) -> CommandedMotion:
         """With the accelerations of the set-points, or the decayed earlier ones if larger."""
         _, _, acceleration_rad_s2 = motion.course.state
         swing_rad_s2 = np.abs(acceleration_rad_s2)
@@ -256,15 +262,15 @@ class MotionGate:
             swing_rad_s2 = np.maximum(swing_rad_s2, earlier_rad_s2)
         return replace(motion, swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
 
-    def _swings(self, motion: Motion) -> bool:
+    def _swings(self, motion: CommandedMotion) -> bool:
         return motion.last_ns - motion.swung_ns < _SWINGS * self._settle_ns
 
-    def _left_of_swing(self, motion: Motion) -> float:
+    def _left_of_swing(self, motion: CommandedMotion) -> float:
         passed_s = (motion.last_ns - motion.swung_ns) * 1e-9
         return math.exp(-_SETTLED * passed_s / self._settings.settle_s)
 
 
-def _with_stamp(motion: Motion, stamp_ns: int) -> Motion:
+def _with_stamp(motion: CommandedMotion, stamp_ns: int) -> CommandedMotion:
     """The motion at another stamp; where stamps have stepped back, all times step with them."""
     back_ns = motion.last_ns - stamp_ns
     if back_ns <= 0:
@@ -280,7 +286,7 @@ def _with_stamp(motion: Motion, stamp_ns: int) -> Motion:
     )
 
 
-def _held_shut(motion: Motion, now_s: float) -> Motion:
+def _held_shut(motion: CommandedMotion, now_s: float) -> CommandedMotion:
     """With the wait prolonged where stamps have stepped forward in the midst of it."""
     left_s = motion.rest_from_s - now_s
     if motion.last_ns < motion.rest_from_ns or left_s <= _CLOCK_JITTER_S:

@@ -27,7 +27,7 @@ _PREDICTED_N = 0.01
 
 
 class MovableArm:
-    """See `movable.Movable`; readings are predicted by the law.
+    """An arm that a commissioning moves: a `movable.Movable`; the law predicts its readings.
 
     Attributes:
         arm: its file.
@@ -55,7 +55,7 @@ class MovableArm:
         return np.asarray(drawn * np.repeat(shrink, 2, axis=1))
 
     def predicted_n(self, commands: Array, calibration: Calibration) -> Array:
-        """See `movable.Movable`; those of nearly slack cables are too high."""
+        """Readings (K, M) without a load at commands (K, 2N); of nearly slack cables too high."""
         reading_n = np.tile(self._start_n, (len(commands), 1))
         belief = (calibration.mean, calibration.covariance, still(self.felt))
         for _ in range(_PREDICTION_STEPS):

@@ -19,7 +19,7 @@ _RANGE_SHARE = 0.95
 
 
 class MovableMachine:
-    """See `movable.Movable`; readings are predicted by the machine's statics.
+    """A machine that a commissioning moves: a `movable.Movable`; statics predict its readings.
 
     Hinges turn about the reference pose; slides stay where they are there.
     """
@@ -66,7 +66,7 @@ class MovableMachine:
         return commands[self._within_controls(commands)]
 
     def predicted_n(self, commands: Array, calibration: Calibration) -> Array:
-        """See `movable.Movable`; zero where the machine finds no rest."""
+        """Readings (K, M) without a load at commands (K, C); zero where it finds no rest."""
         built = SimulatedMachine(self._machine, self.felt.parameters, calibration.mean)
         reading_n = np.zeros((len(commands), len(self.taut_n)))
         for row, command in enumerate(commands):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.felt import FeltMachine, LinkFrames, LinksAtPose
+from cablesense_contact.felt import FeltMachine, LinkFrameOffsets, LinksAtPose
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.loads import LoadError
 from cablesense_sim.rotations import quaternion_xyzw
@@ -32,7 +32,7 @@ def contact_frames(machine: FeltMachine, prefix: str) -> Frames:
 class PlacedLinks:
     """Wrenches, points and directions of links, numbered from 1, in the frames of messages."""
 
-    def __init__(self, frames: LinkFrames | None) -> None:
+    def __init__(self, frames: LinkFrameOffsets | None) -> None:
         """None where the links' frames are those of messages."""
         self._frames = frames
         if frames is not None:

@@ -1,7 +1,8 @@
 """Estimates of a recording of readings and commands: the running estimator, row by row.
 
 No node, no trial and no known load is needed. The arm begins where the first row commands it, and
-the first rows at rest that can be of the untouched arm are its tare.
+the first rows at rest that can be of the untouched arm are its tare. Where the first command was
+given during the recording, nothing is answered until a move from anywhere must have ended.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
-from cablesense_msgs_py.messages import ForceState
+from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, ForceState
 from cablesense_msgs_py.serialized import EffortWriter
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
@@ -22,15 +23,24 @@ from cablesense_online.models import Loaded
 from cablesense_online.settings import EstimationSettings
 from cablesense_recording.recording import Recording, RecordingError
 
+NO_TARE = "no tare yet"
+"""Why a row is untared before enough rows at rest have been looked at."""
 _BEGIN_NS = 1_000_000_000
 """Stamp of the first row: 0 would be none."""
 
 
 class RecordedAnswer(NamedTuple):
-    """What is stated of one row, at its time since the recording began."""
+    """What is stated of one row.
+
+    Attributes:
+        time_s: since the recording began.
+        answer: to its readings.
+        tare_problem: of an untared row, why there is no tare yet; else empty.
+    """
 
     time_s: float
     answer: Answer
+    tare_problem: str = ""
 
 
 def recorded_answers(
@@ -46,7 +56,10 @@ def recorded_answers(
     """
     machine = loaded.machine
     estimation = Estimation(machine, loaded.contacts(settings), settings, 0.0, calibration)
-    estimation.begin_at(recording.command_rad[0])
+    begin_rad = recording.command_rad[0]
+    if recording.commanded_inside and not machine.reads_joints:
+        begin_rad = begin_rad + MAX_JOINT_ANGLE_RAD  # so the first command is a move of this size
+    estimation.begin_at(begin_rad)
     writer = EffortWriter(machine.channels.names)
     last_rad: Array | None = None
     for time_s, command_rad, reading_n in zip(
@@ -57,7 +70,11 @@ def recorded_answers(
             estimation.command(command_message(machine.command_names, command_rad, stamp_ns))
             last_rad = command_rad
         raw = writer.write(stamp_ns, reading_n.tolist())
-        yield RecordedAnswer(time_s, estimation.sample(raw, stamp_ns, stamp_ns * 1e-9))
+        answer = estimation.sample(raw, stamp_ns, stamp_ns * 1e-9)
+        tare_problem = ""
+        if answer.force is ForceState.UNTARED:
+            tare_problem = estimation.state.tare_problem or NO_TARE
+        yield RecordedAnswer(time_s, answer, tare_problem)
 
 
 def require_tare(answers: list[RecordedAnswer], count: int) -> None:

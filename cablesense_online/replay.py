@@ -11,7 +11,7 @@ import csv
 import math
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +30,7 @@ from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
 from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
 from cablesense_online.estimation import Estimation
+from cablesense_online.inputs import REPLAYED_FROM
 from cablesense_online.loading import load
 from cablesense_online.models import Loaded, LoadedModel
 from cablesense_online.placed_links import PlacedLinks, contact_frames
@@ -41,13 +42,6 @@ from cablesense_sim.machine.description import is_machine_file
 
 _WRENCH_NUMBERS: Final = struct.Struct("<6d")
 """Force and torque."""
-_REPLAYED = (
-    topics.CABLE_TENSIONS,
-    topics.JOINT_COMMANDS,
-    topics.JOINT_STATES,
-    topics.CABLE_OFFSETS,
-    topics.CALIBRATION_USED,
-)
 
 
 @dataclass(frozen=True)
@@ -115,6 +109,7 @@ class RecordedRun:
         Raises:
             RecordingError: the file has become unreadable.
         """
+        replayed = frozenset(filter(None, REPLAYED_FROM.values()))
         remaining = deque(self._calibrations)
         calibrated = False
         for raw in McapMessages(self.path):
@@ -122,7 +117,7 @@ class RecordedRun:
             if topic == topics.CALIBRATION_USED and not calibrated:
                 calibrated = True
                 yield remaining.popleft()
-            elif topic in _REPLAYED and topic != topics.CALIBRATION_USED:
+            elif topic in replayed and topic != topics.CALIBRATION_USED:
                 yield raw
             if topic == topics.CABLE_TENSIONS:
                 stamp = _stamp(raw.data)
@@ -264,14 +259,20 @@ class RebuiltEstimator:
         if topic == topics.CABLE_TENSIONS:
             return self._answer(raw.data)
         measured = self._loaded.machine.reads_joints
-        takes = {
-            topics.JOINT_STATES if measured else topics.JOINT_COMMANDS: self._estimation.command,
-            topics.CABLE_OFFSETS: self._estimation.offset,
-        }
-        take = takes.get(topic)
-        if take is not None:
-            with suppress(CableSenseError):  # the live estimator refused it too
-                take(parsed_message(raw))
+        take: Callable[[Any], object]
+        match topic:
+            case topics.CABLE_OFFSETS:
+                take = self._estimation.offset
+            case topics.JOINT_STATES if measured:
+                take = self._estimation.command
+            case topics.JOINT_COMMANDS if not measured:
+                take = self._estimation.command
+            case topics.JOINT_STATES | topics.JOINT_COMMANDS:
+                return None  # nor did the live estimator take it
+            case _:
+                raise NotImplementedError(f"{topic} of REPLAYED_FROM is not taken")
+        with suppress(CableSenseError):  # the live estimator refused it too
+            take(parsed_message(raw))
         return None
 
     def _calibrate(self, message: CalibrationMessage) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from cablesense_base import CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
-from cablesense_contact.felt import FeltMachine
+from cablesense_contact.felt import ChannelLimits, FeltMachine
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import KnownForce, ReferenceContacts
 from cablesense_msgs_py.messages import ForceState, Level, Status
@@ -245,13 +246,15 @@ def breath_status(breath: BreathState) -> Status | None:
     return Status("breathing", level, message, values)
 
 
-def awaited_tare(state: EstimationState, settings: EstimationSettings) -> str:
+def awaited_tare(
+    state: EstimationState, settings: EstimationSettings, channels: ChannelLimits
+) -> str:
     """Why the automatic tare is not taken though readings are there; else empty."""
     unloaded = state.unloaded
     if not unloaded.automatic:
         return ""
     enough = len(unloaded.readings) >= settings.tare_samples
-    return (refusal(unloaded, settings) if enough else "") or state.tare_problem
+    return (refusal(unloaded, settings, channels) if enough else "") or state.tare_problem
 
 
 class ForceKnown:
@@ -290,22 +293,21 @@ def _same(one: Calibration, other: Calibration) -> bool:
     return same_mean and np.array_equal(one.covariance, other.covariance)
 
 
-def tare_status(
-    state: EstimationState, settings: EstimationSettings, known_force: KnownForce | None
-) -> Status:
-    """How well the unloaded arm is known; `known_force` as `ForceKnown` has it."""
+def tare_status(state: EstimationState, awaited: str, known_force: KnownForce | None) -> Status:
+    """How well the unloaded arm is known.
+
+    `awaited` is why no automatic tare is taken (`awaited_tare`), `known_force` as `ForceKnown` has
+    it.
+    """
     unloaded = state.unloaded
     if isinstance(unloaded, CalibratedState):
-        return _calibration_status(state, unloaded, settings, known_force)
+        return _calibration_status(unloaded, awaited, known_force)
     since = utc_text(unloaded.tares[-1].unloaded.taken_ns) if unloaded.tares else ""
-    return _known_status(state, settings, f"tared since {since}", {})
+    return _known_status(unloaded, awaited, f"tared since {since}", {})
 
 
 def _calibration_status(
-    state: EstimationState,
-    unloaded: CalibratedState,
-    settings: EstimationSettings,
-    known_force: KnownForce | None,
+    unloaded: CalibratedState, awaited: str, known_force: KnownForce | None
 ) -> Status:
     calibration = unloaded.calibration
     values = {
@@ -319,7 +321,7 @@ def _calibration_status(
     if known_force is not None:
         values["force known to (N)"] = f"{known_force.half_interval_n:.3f}"
         message += f": {known_force.text}"
-    status = _known_status(state, settings, message, values)
+    status = _known_status(unloaded, awaited, message, values)
     if status.level is Level.OK and not calibration.as_described:
         return Status(
             "tare",
@@ -332,14 +334,12 @@ def _calibration_status(
 
 
 def _known_status(
-    state: EstimationState, settings: EstimationSettings, message: str, values: dict[str, str]
+    unloaded: UnloadedState[Any], awaited: str, message: str, values: dict[str, str]
 ) -> Status:
-    unloaded: UnloadedState[object] = state.unloaded
     if not unloaded.known:
         message = "call ~/tare with the arm unloaded"
         if unloaded.automatic:
-            awaited = awaited_tare(state, settings) or "too few readings at rest yet"
-            message = f"auto_tare waits: {awaited}"
+            message = f"auto_tare waits: {awaited or 'too few readings at rest yet'}"
         return Status("tare", Level.WARN, f"none taken: no estimate; {message}")
     if unloaded.tares:
         last = unloaded.tares[-1].unloaded

@@ -16,10 +16,10 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Unloaded
-from cablesense_contact.felt import FeltMachine
+from cablesense_contact.felt import ChannelLimits, FeltMachine
 from cablesense_online.settings import EstimationSettings
 
-MOST_KEPT = 16
+MOST_UNDOABLE = 16
 """How many times a tare can be undone."""
 _ONE_POSE_RAD = 1e-3
 """Readings of a tare are of poses within this of the first."""
@@ -159,21 +159,24 @@ def is_same_pose(state: UnloadedState[Known], pose_rad: Array) -> bool:
     return earlier_rad is not None and bool(np.abs(pose_rad - earlier_rad).max() <= _ONE_POSE_RAD)
 
 
-def refusal(state: UnloadedState[Known], settings: EstimationSettings) -> str:
-    """Why the last readings are no tare, as text; empty where they may be one."""
+def refusal(
+    state: UnloadedState[Known], settings: EstimationSettings, channels: ChannelLimits
+) -> str:
+    """Why the last readings of the channels are no tare, as text; empty where they may be one."""
     count = settings.tare_samples
     if len(state.readings) < count:
         return (
             f"only {len(state.readings)} of {count} usable readings at this pose yet; wait a "
             "moment with the arm at rest and call again"
         )
-    spread_n = np.std(state.readings, axis=0)
-    worst = int(np.argmax(spread_n))
-    if spread_n[worst] > settings.tare_steady_n:
+    spread = np.std(state.readings, axis=0)
+    worst = int(np.argmax(spread))
+    if spread[worst] > settings.tare_steady_n:
+        unit = channels.units[worst]
         return (
-            f"cable_{worst + 1} varies by {spread_n[worst]:.2f} N (standard deviation; at "
-            f"most {settings.tare_steady_n:g} N); let the arm rest with nothing touching it and "
-            "call again"
+            f"{channels.names[worst]} varies by {spread[worst]:.2f} {unit} (standard deviation; "
+            f"at most {settings.tare_steady_n:g} {unit}); let the arm rest with nothing touching "
+            "it and call again"
         )
     return ""
 
@@ -181,15 +184,18 @@ def refusal(state: UnloadedState[Known], settings: EstimationSettings) -> str:
 def unloaded_reading(
     state: UnloadedState[Known],
     settings: EstimationSettings,
+    channels: ChannelLimits,
     now_ns: int,
     came_from_rad: Array | None = None,
 ) -> Unloaded:
-    """The mean of the last readings; `came_from_rad` (2N,) is where the arm came from, if known.
+    """The mean of the last readings of the channels, as a tare at `now_ns` since the epoch.
+
+    `came_from_rad` (2N,) is where the arm came from, if known.
 
     Raises:
         TareError: too few readings yet, or they are not steady.
     """
-    if problem := refusal(state, settings):
+    if problem := refusal(state, settings, channels):
         raise TareError(problem)
     assert state.pose_rad is not None
     mean_n = np.mean(state.readings, axis=0)

@@ -10,9 +10,10 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import (
-    MOST_KEPT,
+    MOST_UNDOABLE,
     Tare,
     TareError,
     UnloadedState,
@@ -45,6 +46,7 @@ class TaredArm:
 
     def __init__(self, arm: Arm, settings: EstimationSettings) -> None:
         self._settings = settings
+        self._channels = FeltArm(arm).channels
         self._nominal = mechanism_of(arm)
         self._mechanism = amended(self._nominal, entries_of(arm))
         self._limit_n = settings.tare_deviation_n or math.inf
@@ -88,13 +90,15 @@ class TaredArm:
     def taken(
         self, state: TaredState, now_ns: int, *, by_itself: bool = False, forced: bool = False
     ) -> TaredState:
-        """With a tare of the last readings; see `UnloadedArm`.
+        """With the average of the last readings as the tare that is carried to other poses.
+
+        `now_ns` is the time since the epoch. `forced` takes any steady readings.
 
         Raises:
             TareError: too few readings, unsteady ones, or, unless `forced`, ones that lie too far
                 from the arm file's.
         """
-        unloaded = unloaded_reading(state, self._settings, now_ns)
+        unloaded = unloaded_reading(state, self._settings, self._channels, now_ns)
         state = self.predicted(state)
         assert state.predicted_n is not None
         off_n = unloaded.reading_n - state.predicted_n
@@ -111,12 +115,12 @@ class TaredArm:
             known_by=tare,
             automatic=False,
             tares=(*state.tares, tare),
-            earlier=(*state.earlier, state.known_by)[-MOST_KEPT:],
+            earlier=(*state.earlier, state.known_by)[-MOST_UNDOABLE:],
             at_tare_n=state.predicted_n,
         )
 
     def undone(self, state: TaredState) -> TaredState:
-        """The state before the last tare; see `UnloadedArm`.
+        """The state before the last tare.
 
         Raises:
             TareError: there is nothing to undo.

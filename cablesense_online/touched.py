@@ -12,6 +12,7 @@ from cablesense_msgs_py.serialized import EffortWriter
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import Loaded
+from cablesense_online.page.headline import headline
 from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
@@ -19,7 +20,6 @@ from cablesense_online.page.snapshot import (
     PlaceInterval,
     ShownStatus,
     Snapshot,
-    headline,
 )
 from cablesense_online.recorded_estimates import command_message
 from cablesense_online.settings import EstimationSettings

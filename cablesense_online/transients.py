@@ -1,7 +1,7 @@
 """Forces that change faster than anything at rest can: a tap, a bumped table.
 
 While the arm swings, its inertia is in the readings, and statics calls it a force. A statement is
-confirmed once the force of the samples within a moment before lies in its interval.
+confirmed once the force of the samples before, as long as the arm swings, lies in its interval.
 """
 
 from __future__ import annotations
@@ -15,52 +15,52 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, Estimate
 
-_MOMENT_NS = 150_000_000
+_SWINGS_NS = 150_000_000
 """An arm on cables swings with some 5 to 20 Hz; half a period of the slowest."""
-_LEAST_N = 0.5
-"""Changes below this are no transient."""
+_SMALLEST_HALF_N = 0.5
+"""Half intervals of forces are at least so wide: changes below this are no transient."""
 _SHORTEST_LEVER_M = 1e-3
 """A contact nearer to the first joint counts as there."""
 
 
 @dataclass(frozen=True)
-class RecentMoments:
-    """The moments of the contacts of the last samples about the arm's first joint.
+class RecentTorques:
+    """The torques of the contacts of the last samples about the arm's first joint.
 
     Attributes:
         stamps_ns: (K,) of the samples.
-        moments_n_m: (K, 2) moments, along two axes across the arm.
+        torques_n_m: (K, 2) along two axes across the arm.
         halves_n_m: (K,) halves of their 95 % intervals.
     """
 
     stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    moments_n_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    torques_n_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     halves_n_m: Array = field(default_factory=lambda: np.empty(0))
 
 
-def with_moment(
-    before: RecentMoments, estimate: Estimate, lever_m: float, stamp_ns: int
-) -> tuple[RecentMoments, bool]:
-    """With the moment of another estimate, and whether it has changed just now.
+def with_torque(
+    before: RecentTorques, estimate: Estimate, lever_m: float, stamp_ns: int
+) -> tuple[RecentTorques, bool]:
+    """With the torque of another estimate, and whether it has changed just now.
 
-    That is by more than its interval. `lever_m` is from the arm's first joint to the contact: the
-    moment of the force about it is continuous where the contact passes from one segment to the
-    next.
+    That is by more than both half intervals within `_SWINGS_NS`. `lever_m` is from the arm's first
+    joint to the contact: the torque of the force about it is continuous where the contact passes
+    from one segment to the next.
     """
     angle = math.radians(estimate.angle_deg)
     size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
-    moment_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
-    half_n = max(NORMAL_95 * estimate.magnitude_std_n, _LEAST_N)
+    torque_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
+    half_n = max(NORMAL_95 * estimate.magnitude_std_n, _SMALLEST_HALF_N)
     half_n_m = half_n * max(lever_m, _SHORTEST_LEVER_M)
     passed_ns = stamp_ns - before.stamps_ns
-    is_recent = (passed_ns >= 0) & (passed_ns <= _MOMENT_NS)
-    moments_n_m = before.moments_n_m[is_recent]
+    is_recent = (passed_ns >= 0) & (passed_ns <= _SWINGS_NS)
+    torques_n_m = before.torques_n_m[is_recent]
     halves_n_m = before.halves_n_m[is_recent]
-    apart_n_m = np.hypot(*(moments_n_m - moment_n_m).T)
+    apart_n_m = np.hypot(*(torques_n_m - torque_n_m).T)
     has_changed = bool((apart_n_m > halves_n_m + half_n_m).any())
-    recent = RecentMoments(
+    recent = RecentTorques(
         np.append(before.stamps_ns[is_recent], stamp_ns),
-        np.vstack([moments_n_m, moment_n_m]),
+        np.vstack([torques_n_m, torque_n_m]),
         np.append(halves_n_m, half_n_m),
     )
     return recent, has_changed

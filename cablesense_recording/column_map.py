@@ -36,7 +36,7 @@ class TimeColumn(FilePart):
     unit: str = "s"
 
 
-class Channels(FilePart):
+class NamedColumns(FilePart):
     """The channels of all readings, or of all numbers of a command.
 
     Attributes:
@@ -56,7 +56,7 @@ class Channels(FilePart):
     held: tuple[Number, ...] = ()
 
     @model_validator(mode="after")
-    def _one_source(self) -> Channels:
+    def _one_source(self) -> NamedColumns:
         if self.held and (self.columns or self.topic):
             raise ValueError("= held: the values that hold all the time leave no columns or topic")
         return self
@@ -89,8 +89,8 @@ class ColumnMap(FilePart):
     """
 
     time: TimeColumn = TimeColumn()
-    tensions: Channels = Channels()
-    commands: Channels = Channels()
+    tensions: NamedColumns = NamedColumns()
+    commands: NamedColumns = NamedColumns()
     trial: str = ""
     loads: Loads | None = None
 

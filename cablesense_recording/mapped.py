@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import plain_name
-from cablesense_recording.column_map import Channels, ColumnMap
+from cablesense_recording.column_map import ColumnMap, NamedColumns
 from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.first_command import FirstCommand
 from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.mcap_file import decoded, is_bag
 from cablesense_recording.mcap_messages import RawMessage
@@ -98,6 +100,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     command_topic = columns.commands.topic or f"/{layout.command_topic}"
     held = columns.commands.held
     command: Array | None = np.array(held) if held else None
+    first_command = FirstCommand(command_topic)
     times_ns: list[tuple[int, int]] = []
     commands: list[Array] = []
     tensions: list[Array] = []
@@ -111,7 +114,10 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     channels = layout.channel_names
     most_rows = MAX_NUMBERS // (7 + len(joints) + len(channels))
     for raw, message in decoded(path, wanted):
+        if raw.topic == tension_topic and not held:
+            first_command.reading(raw.log_ns)
         if raw.topic == command_topic and not held:
+            first_command.command(raw.log_ns)
             command = _numbers(path, raw, message, columns.commands, joints, "position")
         if raw.topic == tension_topic and command is not None:
             times_ns.append((raw.log_ns, _stamp_ns(message)))
@@ -126,7 +132,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     logs_ns, stamps_ns = np.array(times_ns, dtype=np.int64).T
     clock_ns, _ = one_clock(logs_ns, stamps_ns)
     count = len(times_ns)
-    return _recording(
+    recording = _recording(
         plain_name(path.stem),
         (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9,
         np.array(commands) * columns.per_command,
@@ -135,6 +141,11 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
         np.zeros((count, 3)),
         None,
         None,
+    )
+    return replace(
+        recording,
+        notes=(*recording.notes, *first_command.notes),
+        commanded_inside=first_command.comes_inside,
     )
 
 
@@ -157,7 +168,7 @@ def _numbers(
     path: Path,
     raw: RawMessage,
     message: Any,
-    channels: Channels,
+    channels: NamedColumns,
     names: Sequence[str],
     usual_field: str,
 ) -> Array:

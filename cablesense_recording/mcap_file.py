@@ -22,6 +22,7 @@ from cablesense_msgs_py.messages import Load, NamedOrder, cable_offsets_m, joint
 from cablesense_msgs_py.qos import CONTRACT, INPUTS
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
+from cablesense_recording.first_command import FirstCommand
 from cablesense_recording.layout import Described, layout_of
 from cablesense_recording.mcap_messages import (
     LEAST_BYTES,
@@ -67,6 +68,7 @@ class BagRows:
         self._cables = NamedOrder(layout.channel_names, "cables")
         self._joints = NamedOrder(layout.command_names, "joints")
         self._command: Array | None = None
+        self._first_command = FirstCommand(layout.command_topic)
         self._loads: dict[int, Load] = {}
         self._trial = np.nan
         self._offset = False
@@ -84,7 +86,10 @@ class BagRows:
             RecordingError: tensions came while two segments were loaded.
         """
         layout = self._layout
+        if topic == topics.CABLE_TENSIONS:
+            self._first_command.reading(log_ns)
         if topic == layout.command_topic:
+            self._first_command.command(log_ns)
             self._command = joint_command_rad(
                 message, self._joints, self._command, layout.largest_command
             )
@@ -132,7 +137,18 @@ class BagRows:
             trials = derive_trials(time_s, command, segments, load_n, at_m)
         name = plain_name(path.stem)
         notes = (odd,) if odd else ()
-        return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m, notes)
+        return Recording(
+            name,
+            time_s,
+            trials,
+            command,
+            segments,
+            load_n,
+            tensions_n,
+            at_m,
+            (*notes, *self._first_command.notes),
+            self._first_command.comes_inside,
+        )
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:

@@ -82,6 +82,8 @@ class Recording:
         load_at_m: (R,) where on its segment's axis the load acts, from the joint centre; NaN for
             the arm file's `contact_m`. None where no row states a place.
         notes: what was read and how, as sentences.
+        commanded_inside: whether the first command was given during the recording, so that the
+            machine may be on its way to it in the first rows.
     """
 
     name: str
@@ -93,6 +95,7 @@ class Recording:
     tensions_n: Array
     load_at_m: Array | None = None
     notes: tuple[str, ...] = ()
+    commanded_inside: bool = False
 
     def __len__(self) -> int:
         """Number of rows R."""

@@ -61,10 +61,10 @@ class CanDriverNode(ConfiguredNode):
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(arm.cable_names)
         self._calibration = None
-        if given["calibration"]:
-            self._calibration = load_calibration(given["calibration"])
+        if given["sensor_calibration_file"]:
+            self._calibration = load_calibration(given["sensor_calibration_file"])
             channel_map = calibrated(
-                channel_map, database, self._calibration, given["calibration"]
+                channel_map, database, self._calibration, given["sensor_calibration_file"]
             )
         if given["joint_states"]:
             self._show_set_points(arm, given["joint_speed_rad_s"])

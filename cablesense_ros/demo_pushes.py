@@ -19,17 +19,12 @@ from rich.table import Table
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, css
+from cablesense_online.page.headline import Words
 from cablesense_online.page.live_machine import LiveMachine
+from cablesense_online.page.score import SETTLING_S, angle_error_deg
 from cablesense_online.page.shown import ShownMachine
-from cablesense_online.page.snapshot import (
-    ESTIMATE_RGB,
-    SETTLING_S,
-    TRUE_RGB,
-    Snapshot,
-    Words,
-    angle_error_deg,
-    css,
-)
+from cablesense_online.page.snapshot import Snapshot
 from cablesense_ros.machine_client import MachineClient
 
 PUSH_S = 3.0

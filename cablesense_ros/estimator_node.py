@@ -202,7 +202,7 @@ class EstimatorNode(ConfiguredNode):
 
     def _check_stale(self) -> None:
         self._simulated_time = self.get_clock().ros_time_is_active
-        if awaited := awaited_tare(self._estimation.state, self._estimation.settings):
+        if awaited := self._awaited_tare():
             self.get_logger().warning(
                 f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
             )
@@ -257,7 +257,7 @@ class EstimatorNode(ConfiguredNode):
                 self._loaded.summary.pose_range_deg,
                 self._refuse_command.count,
             ),
-            tare_status(state, settings, self._known_force()),
+            tare_status(state, self._awaited_tare(), self._known_force()),
         ]
         breathing = breath_status(state.breath)
         if breathing is not None:
@@ -266,6 +266,12 @@ class EstimatorNode(ConfiguredNode):
         estimation.publisher.lost = 0
         self._refuse_command.count = 0
         return statuses
+
+    def _awaited_tare(self) -> str:
+        """Why no automatic tare is taken; else empty."""
+        estimation = self._estimation
+        channels = self._loaded.machine.channels
+        return awaited_tare(estimation.state, estimation.settings, channels)
 
     def _known_force(self) -> KnownForce | None:
         """How well a push would be known elsewhere; None where that has no answer."""

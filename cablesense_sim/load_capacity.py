@@ -61,7 +61,7 @@ _LEAST_RANGE_SHARE = 0.1
 """Share of the usual range of poses below which no smaller one is tried."""
 _RANGE_STEP_SHARE = 0.05
 """Share of the usual range by which it is made smaller."""
-_LEAST_N = 1e-3
+_WEAKEST_CONTACT_N = 1e-3
 """The weakest contact that is tried: an arm that bears less bears none."""
 _HALVINGS = 6  # bisections between a supported force and twice that force; a hundredth remains
 
@@ -200,12 +200,12 @@ def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:
 
     high = np.full(arm.segment_count, most_n)
     weak = ~borne(high, high > 0.0)
-    low = np.where(weak, _LEAST_N, most_n)
+    low = np.where(weak, _WEAKEST_CONTACT_N, most_n)
     if not borne(low, weak)[weak].all():
         raise WeakArmError(
-            f"arm {arm.name} bears no contact of {1e3 * _LEAST_N:g} mN on a segment before guide "
-            "plates touch or a sensor is at the end of sensors.range_n; raise the cables' "
-            "stiffness, cables.pretension_n or the range"
+            f"arm {arm.name} bears no contact of {1e3 * _WEAKEST_CONTACT_N:g} mN on a segment "
+            "before guide plates touch or a sensor is at the end of sensors.range_n; raise the "
+            "cables' stiffness, cables.pretension_n or the range"
         )
     growing = weak.copy()
     while growing.any():

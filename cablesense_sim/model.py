@@ -23,7 +23,7 @@ _CABLE_WIDTH_M = 0.0008
 _Rgba = tuple[float, float, float, float]
 _TIMESTEP_S = 1e-3
 """Of the MuJoCo model, unless its user sets another one."""
-_LEAST_KG = 1e-6
+_LIGHTEST_BODY_KG = 1e-6
 """Mass of a segment, at least: MuJoCo refuses a body without."""
 _ACTUATOR_INERTIA_KG_M2 = 1e-4
 """Of an actuator's screw, which slides only: MuJoCo wants some."""
@@ -76,7 +76,7 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
             name = f"joint_{n + 1}_{axis}"
             body.add_joint(name=name, damping=damping, stiffness=stiffness, **hinge)
         body.explicitinertial = True
-        body.mass = max(mass, _LEAST_KG)
+        body.mass = max(mass, _LIGHTEST_BODY_KG)
         body.ipos = [mechanism.centre_of_mass_m[n], 0.0, 0.0]
         across = (3.0 * radius**2 + length**2) / 12.0
         body.inertia = body.mass * np.array([0.5 * radius**2, across, across])

@@ -42,7 +42,7 @@ from cablesense_sim.mechanism import Mechanism
 
 _HARMONICS = 100
 """Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
-_KEPT = 4  # arms whose tensions are kept: the next ones often differ in their sensors alone
+_ARMS_KEPT = 4  # arms whose tensions are kept: the next ones often differ in their sensors alone
 _FADED_N = 2e-4  # change of a tension that counts as none: equilibria are balanced to some 1e-5 N
 
 
@@ -205,7 +205,7 @@ class Replay:
             rests = self._equilibria([entries], None, some_may_fail=some_may_fail)
             tensions, angles = (np.stack(each, axis=1)[0] for each in zip(*rests, strict=True))
             course = _Course(tensions, np.diff(angles, axis=0, prepend=angles[:1]))
-        self._courses = dict(list({**self._courses, key: course}.items())[-_KEPT:])
+        self._courses = dict(list({**self._courses, key: course}.items())[-_ARMS_KEPT:])
         return course
 
     def _path_tensions_n(
@@ -253,7 +253,7 @@ class Replay:
             moved = self._moved(list(new.values()))
             for key, mechanism, held_m, forces_n in zip(new, *moved, strict=True):
                 known[key] = self._at_rest_n(mechanism, held_m, forces_n, unborne_n)
-        self._latest = dict(list({**self._latest, **known}.items())[-_KEPT:])
+        self._latest = dict(list({**self._latest, **known}.items())[-_ARMS_KEPT:])
         return np.stack([known[key] for key in keys])
 
     def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array, Array]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,17 @@ _Coefficient = Annotated[Number, Field(ge=0.0, le=1.0)]
 _Logarithm = Annotated[Number, Field(ge=0.0, le=3.0)]
 
 
-class Tolerances(FilePart):
+class StandardDeviations(FilePart):
+    """Numbers by which what is built may differ from its file: one standard deviation each."""
+
+    def scaled(self, factor: float) -> Self:
+        """All of them times a factor; zero states that it equals its file."""
+        return self.model_copy(
+            update={name: factor * value for name, value in self.model_dump().items()}
+        )
+
+
+class Tolerances(StandardDeviations):
     """By how much a built arm may differ from its file: one standard deviation each.
 
     The defaults are those of a careful workshop. A general tolerance of ± t is taken as t = 2
@@ -80,12 +90,6 @@ class Tolerances(FilePart):
     run_compliance_log: _Logarithm = 0.7
     drift_n_per_hour: _Newtons = 1.0
     contact_m: _Metres = 3e-4
-
-    def scaled(self, factor: float) -> Tolerances:
-        """All of them times a factor; zero states that the arm equals its file."""
-        return self.model_copy(
-            update={name: factor * value for name, value in self.model_dump().items()}
-        )
 
 
 class ArmParameters(GroupedParameters):

@@ -32,7 +32,7 @@ _TRIAL_ROWS = 64
 TRACED_ROWS = 10007
 """A prime larger than any other size in a network: no product of these is a multiple of it."""
 
-_FEW = 64
+_SHORT_CONSTANT = 64
 """Shorter constants are not worth a cast."""
 
 
@@ -154,7 +154,11 @@ def store_as_single(graph: onnx.GraphProto) -> None:
     for constant in graph.initializer:
         values = onnx.numpy_helper.to_array(constant)
         single = values.astype(np.float32)
-        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
+        if (
+            values.dtype != np.float64
+            or values.size < _SHORT_CONSTANT
+            or not (single == values).all()
+        ):
             kept.append(constant)
             continue
         stored = onnx.numpy_helper.from_array(single, f"{constant.name}_single")

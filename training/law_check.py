@@ -45,9 +45,9 @@ _SAMPLES = 500
 _UNTOUCHED = 0.4
 """Share of them."""
 _SEED = 61
-_FEW = 20
+_FEWEST_OF_A_QUANTILE = 20
 """Errors below which no quantile is taken."""
-_BEYOND = 0.95
+_JUDGED_QUANTILE = 0.95
 
 
 @dataclass(frozen=True)
@@ -207,9 +207,9 @@ def _unexplained(seen: LawOutput, touches: Touches) -> Array:
 def _over_bound(normalised: Array) -> float:
     """The 95 % quantile of errors over deviations, against that of a normal distribution."""
     sizes = np.abs(normalised).ravel()
-    if len(sizes) < _FEW:
+    if len(sizes) < _FEWEST_OF_A_QUANTILE:
         return float("nan")
-    return float(np.quantile(sizes, _BEYOND)) / NORMAL_95
+    return float(np.quantile(sizes, _JUDGED_QUANTILE)) / NORMAL_95
 
 
 def _slack_share(arm: Arm, readings_n: Array) -> float:

@@ -14,7 +14,7 @@ from cablesense_base.files import write_atomically
 from cablesense_base.installation import package_version
 from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
 from cablesense_contact.inference.session import open_session
-from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.errors import TrainingError
@@ -81,7 +81,7 @@ def _to_onnx(estimator: nn.Module, trial: list[Tensor]) -> onnx.ModelProto:
     readings, commands, *known = trial
     rows = torch.arange(TRACED_ROWS) % len(readings)
     traced = (readings[rows], commands[rows], *known)
-    return to_onnx(estimator, dict(zip(INPUTS, traced, strict=True)), LawOutput._fields)
+    return to_onnx(estimator, dict(zip(GRAPH_INPUTS, traced, strict=True)), LawOutput._fields)
 
 
 def _metadata(arm: Arm, command: str) -> ModelMetadata:
@@ -105,7 +105,7 @@ def _metadata(arm: Arm, command: str) -> ModelMetadata:
 
 def _require_agreement(estimator: nn.Module, model: onnx.ModelProto, trial: list[Tensor]) -> None:
     session = open_session(model)
-    inputs = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
+    inputs = {name: value.numpy() for name, value in zip(GRAPH_INPUTS, trial, strict=True)}
     by_runtime = session.run(None, inputs)
     with torch.no_grad():
         by_torch = estimator(*trial)

@@ -87,7 +87,7 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
     return table
 
 
-class ContactEstimator(OpenedModel):
+class NetworkEstimator(OpenedModel):
     """The common base of estimators."""
 
     def _outputs(
@@ -136,7 +136,7 @@ class ContactEstimator(OpenedModel):
         return subspace.judged(differences_n, poses_rad)
 
 
-class Estimator(ContactEstimator):
+class Estimator(NetworkEstimator):
     """A single-contact model, opened; not for use from several threads at once.
 
     An `EstimateError` refuses inputs that it cannot take, and answers that are not finite.
@@ -183,7 +183,7 @@ class MultiEstimates(NamedTuple):
     plausible: NDArray[np.bool_]
 
 
-class MultiEstimator(ContactEstimator):
+class MultiEstimator(NetworkEstimator):
     """A multi-contact model, opened; an `EstimateError` refuses inputs that it cannot take."""
 
     outputs: ClassVar[Sequence[str]] = MULTI_OUTPUTS

@@ -10,9 +10,9 @@ from cablesense_base import Array
 from cablesense_contact.commands import require_commands
 from cablesense_contact.errors import EstimateError, ModelFileError
 from cablesense_contact.inference.metadata import ANYWHERE
-from cablesense_contact.inference.model_file import one_line, read_model
-from cablesense_contact.inference.session import fits, open_session
-from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_contact.inference.model_file import read_model
+from cablesense_contact.inference.session import EXPORT_AGAIN, cannot_run, fits, open_session
+from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.uncertain_arm import arm_parameters
 
@@ -50,7 +50,7 @@ class LawModel:
             )
         inputs = tuple(entry.name for entry in model.graph.input)
         answers = tuple(entry.name for entry in model.graph.output)
-        if inputs != INPUTS or answers != LawOutput._fields:
+        if inputs != GRAPH_INPUTS or answers != LawOutput._fields:
             raise ModelFileError(
                 f"{path}: a model of contacts anywhere of an earlier version, without tolerances; "
                 "make it again with `cablesense export` (seconds)"
@@ -58,7 +58,7 @@ class LawModel:
         try:
             self._session = open_session(model)
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise self._cannot_run(error) from error
+            raise cannot_run(self._source, error, EXPORT_AGAIN) from error
         self._require_answers()
 
     @property
@@ -74,7 +74,9 @@ class LawModel:
         covariance: Array,
         unrest_n2_m2: Array,
     ) -> LawOutput:
-        """See `cablesense_contact.law.Law`.
+        """What readings (B, M) say at commands (B, 2N), by parameters with a mean (P,).
+
+        The parameters have the covariance (P, P), torques by motion `unrest_n2_m2` (2N, 2N).
 
         Raises:
             EstimateError: a reading or a command is not finite, or a command is more than half a
@@ -89,9 +91,9 @@ class LawModel:
             rows = slice(first, first + _ROWS_AT_ONCE)
             inputs = (reading_n[rows], command_rad[rows], mean, covariance, unrest_n2_m2)
             try:
-                parts.append(self._session.run(None, dict(zip(INPUTS, inputs, strict=True))))
+                parts.append(self._session.run(None, dict(zip(GRAPH_INPUTS, inputs, strict=True))))
             except Exception as error:  # ONNX Runtime's classes have no common base
-                raise self._cannot_run(error) from error
+                raise cannot_run(self._source, error, EXPORT_AGAIN) from error
         if len(parts) == 1:
             return LawOutput._make(parts[0])
         return LawOutput._make(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -116,9 +118,3 @@ class LawModel:
                 f"{self._source}: its answer for an idle arm is not finite, or not of "
                 f"{size} parameters; make it again with `cablesense export`"
             )
-
-    def _cannot_run(self, error: Exception) -> ModelFileError:
-        return ModelFileError(
-            f"{self._source}: ONNX Runtime cannot run it ({one_line(error)}); make it again with "
-            "`cablesense export`"
-        )

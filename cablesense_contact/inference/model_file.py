@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 
@@ -83,16 +82,6 @@ def read_graph(path: str | Path) -> tuple[ModelProto, dict[str, str]]:
 def one_line(error: Exception) -> str:
     """The beginning of an error's text, without line breaks."""
     return " ".join(str(error).split())[:200]
-
-
-def model_sha256(path: str | Path) -> str:
-    """SHA-256 of a model file.
-
-    Raises:
-        ModelFileError: it cannot be read.
-    """
-    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
-    return hashlib.sha256(content).hexdigest()
 
 
 def require_harmless(model: ModelProto, source: str) -> None:

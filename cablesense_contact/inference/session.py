@@ -16,6 +16,8 @@ from cablesense_contact.inference.metadata import MULTI_CONTACT, ModelMetadata
 from cablesense_contact.inference.model_file import one_line, read_model, require_bounded
 from cablesense_sim.arm import Arm
 
+EXPORT_AGAIN = "make it again with `cablesense export`"
+"""What to do about a model file of contacts anywhere that cannot be used."""
 _ROWS_AT_ONCE = 2048
 """Samples that are answered together."""
 
@@ -61,7 +63,7 @@ class OpenedModel:
         except ModelFileError:
             raise
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise _cannot_run(self._source, error) from error
+            raise cannot_run(self._source, error, "train it again") from error
         self._require_answers()
 
     @classmethod
@@ -94,7 +96,7 @@ class OpenedModel:
             try:
                 parts.append(self._session.run(list(self.outputs), part))
             except Exception as error:  # ONNX Runtime's classes have no common base
-                raise _cannot_run(self._source, error) from error
+                raise cannot_run(self._source, error, "train it again") from error
         if len(parts) == 1:
             return list(parts[0])
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
@@ -126,10 +128,9 @@ def fits(made_for: Arm, arm: Arm) -> bool:
     return known.identity == arm.nominal.identity and lacks_some
 
 
-def _cannot_run(source: str, error: Exception) -> ModelFileError:
-    return ModelFileError(
-        f"{source}: ONNX Runtime cannot run it ({one_line(error)}); train it again"
-    )
+def cannot_run(source: str, error: Exception, remedy: str) -> ModelFileError:
+    """The error of a graph from `source` that ONNX Runtime does not run, with what to do."""
+    return ModelFileError(f"{source}: ONNX Runtime cannot run it ({one_line(error)}); {remedy}")
 
 
 def open_session(model: ModelProto) -> onnxruntime.InferenceSession:

@@ -9,11 +9,11 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides, FrictionParameters
-from cablesense_contact.felt import ChannelLimits, LinkFrames, LinksAtPose
+from cablesense_contact.felt import ChannelLimits, LinkFrameOffsets, LinksAtPose
 from cablesense_contact.machine.felt_directions import felt_across
 from cablesense_contact.machine.law import GRAPH_FORCE_N
 from cablesense_contact.machine.observation import Observer
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_contact.reference_contacts import ReferenceContacts, ReferenceLoads
 from cablesense_sim.machine.machine import Machine
@@ -22,7 +22,7 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
 from cablesense_sim.touch import is_one_place
 
-_KNOWN_SHARE = 1.0 / GRAPH_FORCE_N
+_KNOWN_SHARE_OF_LARGEST = 1.0 / GRAPH_FORCE_N
 """A force is known if half of its interval is below this share of the largest one."""
 _REFERENCE_SHARE = 0.2
 """Force of the contacts by which a machine is judged, as a share of the largest one."""
@@ -33,7 +33,9 @@ _SLACK_BELOW_STD = 4.0
 
 
 class FeltModel:
-    """See `felt.FeltMachine`; its frames are those of the model's bodies.
+    """A machine that MuJoCo describes as estimates see it: a `felt.FeltMachine`.
+
+    Its frames are those of the model's bodies.
 
     Attributes:
         source: the machine.
@@ -58,7 +60,7 @@ class FeltModel:
         self.first_command = self._observer.command_of(machine.reference)
         self.link_names = links.names
         self.surface_friction = machine.source.file.touch.friction
-        self.known_n = _KNOWN_SHARE * machine.source.file.touch.largest_n
+        self.known_n = _KNOWN_SHARE_OF_LARGEST * machine.source.file.touch.largest_n
         self.drift_per_hour = tolerances.drift_per_hour
         self.contact_m: Sequence[float] = links.touched_m.mean(axis=1).tolist()
         self.middle_m: Array = links.touched_m.mean(axis=1)
@@ -69,7 +71,7 @@ class FeltModel:
         self.channels = ChannelLimits(
             channels.names, channels.units, channels.lowest, channels.highest
         )
-        self.link_frames = LinkFrames(links.axes, links.origin_m)
+        self.link_frames = LinkFrameOffsets(links.axes, links.origin_m)
         self.zeros = np.zeros(len(channels.names), dtype=np.int64)
         numbers = np.arange(len(parameters))
         self.zeros[parameters.is_force] = numbers[slices["sensor_zero"]]
@@ -82,7 +84,7 @@ class FeltModel:
     @cached_property
     def slides(self) -> CableSlides:
         """How what friction carries follows from what moves the tendons."""
-        routes = TendonRoutes(self.source, TendonFriction(self.source))
+        routes = TendonRoutes(self.source, CarriedTendonFriction(self.source))
         return CableSlides(routes, FrictionParameters.of(self.parameters))
 
     def mean_variance(self, count: int) -> Array:

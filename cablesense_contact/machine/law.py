@@ -37,7 +37,7 @@ EVIDENCE = (
 STATED = LawOutput._fields[: LawOutput._fields.index("fault_n") + 1]
 """Outputs of that graph."""
 
-_AGAIN = 2
+_OBSERVATIONS_AGAIN = 2
 """Times that an observation is made again, linear about the contact that it says."""
 
 _WORSE = 10.0
@@ -78,13 +78,17 @@ class MachineLaw:
         covariance: Array,
         unrest_n2_m2: Array,
     ) -> LawOutput:
-        """See `Law`; commands are (B, C), or measured positions (B, n)."""
+        """What readings (B, M) say at commands (B, C), or at measured positions (B, n).
+
+        The parameters have a mean (P,) and a covariance (P, P), torques by motion the covariance
+        `unrest_n2_m2` (n, n).
+        """
         observed = [
             self.observer.observe(reading, command, mean, covariance, unrest_n2_m2)
             for reading, command in zip(reading_n, command_rad, strict=True)
         ]
         stated = self._stated(observed)
-        for _ in range(_AGAIN):
+        for _ in range(_OBSERVATIONS_AGAIN):
             again = [
                 self._about_the_contact(
                     row, seen, stated, command_rad[row], mean, covariance, unrest_n2_m2

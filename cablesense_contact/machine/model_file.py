@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cablesense_base import Array
 from cablesense_contact.errors import ModelFileError
 from cablesense_contact.inference.model_file import one_line, read_graph
-from cablesense_contact.inference.session import open_session
+from cablesense_contact.inference.session import EXPORT_AGAIN, cannot_run, open_session
 from cablesense_contact.machine.law import EVIDENCE, STATED, MachineLaw
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
@@ -58,10 +58,10 @@ class GraphStater:
         try:
             self._session = open_session(model)
         except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise self._cannot_run(error) from error
+            raise cannot_run(self._source, error, EXPORT_AGAIN) from error
 
     def __call__(self, evidence: Mapping[str, Array]) -> Mapping[str, Any]:
-        """See `law.Stater`.
+        """What is stated, arrays by the names `STATED`, of evidence by the names `EVIDENCE`.
 
         Raises:
             ModelFileError: ONNX Runtime cannot run it.
@@ -69,14 +69,8 @@ class GraphStater:
         try:
             stated = self._session.run(None, dict(evidence))
         except Exception as error:  # ONNX Runtime's classes have no common base
-            raise self._cannot_run(error) from error
+            raise cannot_run(self._source, error, EXPORT_AGAIN) from error
         return dict(zip(STATED, stated, strict=True))
-
-    def _cannot_run(self, error: Exception) -> ModelFileError:
-        return ModelFileError(
-            f"{self._source}: ONNX Runtime cannot run it ({one_line(error)}); make it again with "
-            "`cablesense export`"
-        )
 
 
 def open_machine_law(path: str | Path, machine: Machine) -> MachineLaw:

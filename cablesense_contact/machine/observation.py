@@ -29,7 +29,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.machine.sensitivity import ParameterSources, Sensitivity
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
@@ -44,7 +44,7 @@ _POSE_STEPS = 12
 _POSE_FOUND = 1e-6
 """It ends where a step is shorter, rad or m: an observation is linear about the pose, and what is
 left is of second order."""
-_FAR = 1e-2
+_NEW_DERIVATIVE_STEP = 1e-2
 """Steps longer than this, rad or m, lead to a pose whose derivative is taken anew."""
 _LEAST_TORQUE_SHARE = 1e-3
 """Deviation of a coordinate's contact force that no touched link makes, over the largest."""
@@ -54,7 +54,7 @@ _CROSS[[1, 5, 6], [2, 0, 1]] = 1.0
 _CROSS[[2, 3, 7], [1, 2, 0]] = -1.0
 _SAME_BENDS = 2e-3
 """A pose that is nearer, rad or m, bends tendons by the same angles."""
-_MOST_KEPT = 64
+_COMMANDS_KEPT = 64
 """Commands and parameters for which what does not depend on the reading is kept."""
 
 
@@ -148,7 +148,7 @@ class Observer:
         self._contact_covariance = self._prior_of_torques()
         self._equations = _known_equations(machine)
         rubs = machine.source.file.cables.friction_coefficient > 0.0
-        self._friction = TendonFriction(machine) if rubs else None
+        self._friction = CarriedTendonFriction(machine) if rubs else None
 
     def observe(
         self,
@@ -339,7 +339,7 @@ class Observer:
             length = float(np.abs(step).max())
             if length < _POSE_FOUND:
                 break
-            if length > _FAR or length > 0.1 * last:
+            if length > _NEW_DERIVATIVE_STEP or length > 0.1 * last:
                 load_slope = statics.load_slope(pose, tensions_n)
             last = length
         return pose
@@ -476,7 +476,7 @@ class Observer:
 
 def _keep(kept: dict[bytes, _Value], key: bytes, value: _Value) -> None:
     """Keep a value, in place of the oldest if there are too many."""
-    if len(kept) >= _MOST_KEPT:
+    if len(kept) >= _COMMANDS_KEPT:
         kept.pop(next(iter(kept)))
     kept[key] = value
 

@@ -37,7 +37,7 @@ class Carried(NamedTuple):
     stretch_by_carried: Array
 
 
-class TendonFriction:
+class CarriedTendonFriction:
     """The friction of the M tendons of a machine that are read.
 
     Attributes:

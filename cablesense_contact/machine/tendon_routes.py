@@ -8,7 +8,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import MOVED_STD
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
@@ -26,7 +26,7 @@ class TendonRoutes:
             measured, tensions are what drives give, and nothing is followed.
     """
 
-    def __init__(self, machine: Machine, friction: TendonFriction) -> None:
+    def __init__(self, machine: Machine, friction: CarriedTendonFriction) -> None:
         channels = machine.channels
         tendons = machine.tendons
         is_tension = channels.tendon >= 0
@@ -45,13 +45,13 @@ class TendonRoutes:
         self.are_followed = not machine.is_measured
 
     def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:
-        """See `CableRoutes`."""
+        """(steps + 1, M, G + 1) lengths of pieces on a straight way between commands (C,)."""
         shares = np.linspace(0.0, 1.0, steps + 1)
         way = [from_command + share * (to_command - from_command) for share in shares]
         return np.array([self._guides.at(self._pose(command)).length_m for command in way])
 
     def slope_m(self, command: Array) -> Array:
-        """See `CableRoutes`."""
+        """(M, G + 1, n) derivatives of the pieces' lengths by the coordinates at a command."""
         return self._guides.at(self._pose(command)).slope_m
 
     def _pose(self, command: Array) -> Array:

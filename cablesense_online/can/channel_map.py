@@ -35,7 +35,8 @@ _SIZES = re.compile(r"(?m)^\s*(?:BO_[^:\n]*:\s*(\d+)|SG_[^:\n]*:\s*(\d+)\s*\|\s*
 _LARGEST_SIZE = 8 * 1785
 """The bits of J1939's longest message. cantools takes memory for every bit that a line claims."""
 _CALIBRATION_HEAD = """\
-# Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
+# Scale and zero of tension sensors, from known loads. Give it to the driver as
+# -p sensor_calibration_file:=…
 # tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
 """
 

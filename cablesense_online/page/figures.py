@@ -10,15 +10,9 @@ from typing import Any
 import jinja2
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.page.snapshot import (
-    ESTIMATE_RGB,
-    TENSION_CSS,
-    TRUE_RGB,
-    PlaceInterval,
-    Words,
-    css,
-    segment_rgb,
-)
+from cablesense_online.page.colours import ESTIMATE_RGB, TENSION_CSS, TRUE_RGB, css, segment_rgb
+from cablesense_online.page.headline import Words
+from cablesense_online.page.snapshot import PlaceInterval
 
 GREY = "#8a93a3"
 """Colour of what is not known, and of axes."""

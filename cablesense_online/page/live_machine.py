@@ -21,7 +21,9 @@ from cablesense_msgs_py.messages import (
     read_force_state,
     read_region,
 )
+from cablesense_msgs_py.topics import ContractError
 from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_online.page.headline import headline
 from cablesense_online.page.shown import ShownMachine
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
@@ -30,7 +32,6 @@ from cablesense_online.page.snapshot import (
     PlaceInterval,
     ShownStatus,
     Snapshot,
-    headline,
 )
 from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_sim.joint_motion import JointMotion
@@ -118,6 +119,11 @@ class LiveMachine:
         self._probabilities: Array | None = None
         self._state = ForceState.SILENT
         self._loads: dict[int, Load] = {}
+        numbers = range(1, self.frames.segment_count + 1)
+        self._of_links = [topics.SEGMENT_WRENCHES.format(number) for number in numbers]
+        self._wrench_topics = frozenset(
+            [topics.WRENCH, topics.WRENCH_LOWER, topics.WRENCH_UPPER, *self._of_links]
+        )
         self._wrenches: dict[str, _Wrench] = {}  # by topic
         self._region: tuple[PlaceInterval, ...] = ()
         self._health: dict[str, _Health] = {}
@@ -128,7 +134,8 @@ class LiveMachine:
         """Take a message of a topic as `cablesense_msgs_py.topics` names it.
 
         Raises:
-            CableSenseError: it breaks the contract, or commands what the machine cannot do.
+            CableSenseError: it breaks the contract, or commands what the machine cannot do; or
+                the topic is not shown.
         """
         with self._lock:
             match topic:
@@ -153,8 +160,13 @@ class LiveMachine:
                     self._region = self._covered(*read_region(message, self.frames))
                 case topics.DIAGNOSTICS:
                     self._take_diagnostics(message, now_s)
-                case _:
+                case _ if topic in self._wrench_topics:
                     self._wrenches[topic] = self._local_wrench(message)
+                case _:
+                    raise ContractError(
+                        f"{topic} is none of the topics that are shown, which are those of "
+                        "readings, commands, loads, estimates and diagnostics"
+                    )
             self._came_s[topic] = now_s
 
     def _take_command(self, message: Any) -> None:
@@ -328,9 +340,7 @@ class LiveMachine:
 
     def _estimated(self, now_s: float) -> tuple[Contact, ...]:
         """Contacts of all links, from a model of several contacts; else the one contact."""
-        numbers = range(1, self.frames.segment_count + 1)
-        several = [topics.SEGMENT_WRENCHES.format(number) for number in numbers]
-        return self._pushing(several, now_s) or self._pushing([topics.WRENCH], now_s)
+        return self._pushing(self._of_links, now_s) or self._pushing([topics.WRENCH], now_s)
 
     def _pushing(self, wrenches: list[str], now_s: float) -> tuple[Contact, ...]:
         """The contacts of those wrenches that are fresh and push."""

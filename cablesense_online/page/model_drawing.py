@@ -11,8 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_online.page.colours import Rgb
 from cablesense_online.page.shown import DrawnPose, Extent, Mesh, Solid, Sphere
-from cablesense_online.page.snapshot import Rgb
 from cablesense_sim.machine.machine import Machine
 
 _DRAWN_GROUPS = 3

@@ -15,12 +15,14 @@ import viser
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
 from cablesense_online.page.arrows import Arrows
+from cablesense_online.page.colours import full_scale_n
 from cablesense_online.page.controls import Actions, Controls
 from cablesense_online.page.figures import html
 from cablesense_online.page.guard import free_port, guarded_server, present_visitor
 from cablesense_online.page.scene import VIEW_ANGLE_RAD, MachineScene, Mouse, view
+from cablesense_online.page.score import Score
 from cablesense_online.page.shown import ReadingPanel, ShownMachine
-from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
+from cablesense_online.page.snapshot import Snapshot
 from cablesense_online.page.traces import ForceTrace, ReadingTrace, reading_lines
 
 _FIGURES_EVERY_S = 0.15

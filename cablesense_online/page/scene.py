@@ -24,6 +24,7 @@ from cablesense_online.page.arrows import (
     place_m,
     pulled_contact,
 )
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb, tension_rgb
 from cablesense_online.page.figures import newtons_text
 from cablesense_online.page.shown import (
     Cylinder,
@@ -34,15 +35,7 @@ from cablesense_online.page.shown import (
     Solid,
     Sphere,
 )
-from cablesense_online.page.snapshot import (
-    ESTIMATE_RGB,
-    TRUE_RGB,
-    PlaceInterval,
-    Rgb,
-    Snapshot,
-    linear_rgb,
-    tension_rgb,
-)
+from cablesense_online.page.snapshot import PlaceInterval, Snapshot
 
 _CABLE_WIDTH = 0.008
 """Of a drawn cable, as a share of the machine's size, as the following ones."""

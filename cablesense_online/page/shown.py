@@ -18,7 +18,9 @@ from cablesense_base import Array
 from cablesense_contact.felt import FeltMachine, LinksAtPose
 from cablesense_msgs_py.messages import Load
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.page.snapshot import PlaceInterval, Rgb, Words
+from cablesense_online.page.colours import Rgb
+from cablesense_online.page.headline import Words
+from cablesense_online.page.snapshot import PlaceInterval
 
 
 @dataclass(frozen=True)

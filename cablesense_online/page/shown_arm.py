@@ -15,6 +15,8 @@ from cablesense_contact.felt import LinksAtPose
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py.messages import Load, read_load
 from cablesense_msgs_py.topics import Frames
+from cablesense_online.page.colours import Rgb
+from cablesense_online.page.headline import Words
 from cablesense_online.page.shown import (
     CommandSlider,
     Cylinder,
@@ -25,7 +27,7 @@ from cablesense_online.page.shown import (
     Solid,
     Sphere,
 )
-from cablesense_online.page.snapshot import PlaceInterval, Rgb, Words
+from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command
@@ -64,7 +66,7 @@ _JOINT_RGB: Rgb = (188, 196, 208)
 
 
 class ShownArm:
-    """See `shown.ShownMachine`; its bodies are the base and the segments."""
+    """An arm on the page: a `shown.ShownMachine` whose bodies are the base and the segments."""
 
     def __init__(self, arm: Arm) -> None:
         mechanism = mechanism_of(arm)

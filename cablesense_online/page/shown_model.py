@@ -15,9 +15,10 @@ from cablesense_contact.felt import LinksAtPose
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_msgs_py.messages import Load, read_load
 from cablesense_msgs_py.topics import Frames
+from cablesense_online.page.headline import Words
 from cablesense_online.page.model_drawing import model_extent, model_solids, tendon_pieces
 from cablesense_online.page.shown import CommandSlider, DrawnPose, Label, ReadingPanel
-from cablesense_online.page.snapshot import PlaceInterval, Words
+from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_online.placed_links import PlacedLinks
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.holding import Holding
@@ -43,7 +44,7 @@ _TORQUE_SCALE_N_M = 1.0
 
 
 class ShownModel:
-    """See `shown.ShownMachine`; its bodies are those of the model."""
+    """A machine on the page: a `shown.ShownMachine` whose bodies are those of the model."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine

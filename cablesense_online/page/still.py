@@ -17,15 +17,9 @@ from scipy.spatial.transform import Rotation
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact
 from cablesense_online.page.arrows import Arrows, arrow_m, interval_m
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, full_scale_n, tension_rgb
 from cablesense_online.page.shown import Cylinder, DrawnPose, Mesh, ShownMachine, Solid, Sphere
-from cablesense_online.page.snapshot import (
-    ESTIMATE_RGB,
-    TRUE_RGB,
-    Rgb,
-    Snapshot,
-    full_scale_n,
-    tension_rgb,
-)
+from cablesense_online.page.snapshot import Snapshot
 
 _CABLE_RADIUS = 0.004
 """Of a drawn cable, as a share of the machine's size, as the following ones."""

@@ -11,9 +11,10 @@ import viser
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, css, segment_rgb
 from cablesense_online.page.figures import GREY
 from cablesense_online.page.shown import ReadingPanel
-from cablesense_online.page.snapshot import ESTIMATE_RGB, TRUE_RGB, Snapshot, css, segment_rgb
+from cablesense_online.page.snapshot import Snapshot
 
 _DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3], [9, 3, 2, 3], [5, 2, 2, 2, 2, 2])
 """Lines of the readings of a group, in turn: lengths of strokes and gaps, px; none is solid."""

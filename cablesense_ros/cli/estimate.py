@@ -22,6 +22,7 @@ from cablesense_ros.cli.options import (
     OptionError,
     TopicsOption,
     print_json,
+    print_notes,
     refuse_given,
 )
 
@@ -93,6 +94,7 @@ def estimate(
     output_file(drawn, force=force, inputs=inputs)
     loaded = load(arm, model)
     recorded = _read(recording, loaded.described, columns, topic or ())
+    print_notes(recorded.notes, json_output)
     known = loaded.calibration("" if calibration is None else str(calibration))
     settings = node_settings(tare_samples=tare_rows)
     answers = list(recorded_answers(recorded, loaded, settings, known))
@@ -149,8 +151,10 @@ def _table(answers: Sequence[RecordedAnswer]) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("time_s", *ANSWER_COLUMNS, "doubt"))
-    for time_s, answer in answers:
-        why = str(answer.problem) if answer.problem is not None else answer.doubt
+    for time_s, answer, tare_problem in answers:
+        why = answer.doubt or tare_problem
+        if answer.problem is not None:
+            why = str(answer.problem)
         table.writerow([_cell(time_s), *map(_cell, answer_cells(answer)), why])
     return text.getvalue()
 

@@ -161,7 +161,7 @@ def _save(path: Path, pixels: NDArray[np.uint8], title: str, lines: list[str]) -
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    from cablesense_online.page.snapshot import ESTIMATE_RGB, TRUE_RGB, css
+    from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, css
 
     height_px, width_px, _ = pixels.shape
     figure = plt.figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI)

@@ -67,8 +67,8 @@ def calibrate(
 ) -> None:
     """Find scale and zero of tension sensors from known loads, with uncertainty.
 
-    Writes the file that can_driver takes as its parameter calibration. At least five loads of
-    three sizes a cable, from the bare cable on, up and down again.
+    Writes the file that can_driver takes as its parameter sensor_calibration_file. At least five
+    loads of three sizes a cable, from the bare cable on, up and down again.
 
     Example: cablesense sensors calibrate loads.csv --map my_map.yaml --out calibration.yaml
     """
@@ -131,7 +131,9 @@ def calibrate(
         console.print("Give --gravity: without it, masses are forces to 0.3 % only.")
     if calibration.uncalibrated:
         console.print(f"Not calibrated: {', '.join(calibration.uncalibrated)}", soft_wrap=True)
-    console.print(f"{out}: give it to can_driver as -p calibration:={out}", soft_wrap=True)
+    console.print(
+        f"{out}: give it to can_driver as -p sensor_calibration_file:={out}", soft_wrap=True
+    )
 
 
 def _calibration_table(calibration: SensorCalibration) -> Table:

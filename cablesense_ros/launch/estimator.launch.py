@@ -39,7 +39,11 @@ ARGUMENTS = {
     "calibration_file": ("", None, "calibration file of this very arm, for the estimator"),
     "respawn": ("false", SWITCH, "a node that ends is started again, and activates itself"),
     "map": ("twelve_channel_amplifier", None, "channel map: the name of a bundled one, or a path"),
-    "calibration": ("", None, "path of a calibration file, or empty for none"),
+    "sensor_calibration_file": (
+        "",
+        None,
+        "scales and zeros of the tension sensors, as cablesense sensors calibrate writes them",
+    ),
     "interface": ("socketcan", None, "python-can's name of the adapter's kind"),
     "channel": ("can0", None, "what that kind calls its channels"),
     "bitrate_bit_s": ("0", None, "bit rate of the bus, bit/s; 0 where the system sets it"),
@@ -59,7 +63,7 @@ ARGUMENTS = {
     "namespace": ("", None, "of all nodes; two arms have two"),
     "frame_prefix": ("", None, "goes before every frame name; two arms have two"),
 }
-BUS = ("interface", "channel", "bitrate_bit_s", "calibration")
+BUS = ("interface", "channel", "bitrate_bit_s", "sensor_calibration_file")
 SOURCES = {**dict.fromkeys(BUS, ("can",)), "map": ("can", "emulated_can")}
 """With which sources an argument has an effect, where not with all."""
 OTHER_PACKAGES = {"description": "robot_state_publisher", "rviz": "rviz2"}
@@ -143,7 +147,7 @@ def start(context: LaunchContext) -> list:
         remappings = [("cable_tensions", "simulated_tensions")] * (source != "sim")
         described = {"description": "description" not in wanted}
         started.append(node("sim", framed | described, remappings=remappings))
-    bus = some("map", "calibration", "interface", "channel")
+    bus = some("map", "sensor_calibration_file", "interface", "channel")
     if "bitrate_bit_s" in changed:
         bus["bitrate_bit_s"] = int(arguments["bitrate_bit_s"])
     if source == "emulated_can":

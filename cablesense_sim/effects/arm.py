@@ -15,7 +15,7 @@ from cablesense_sim.mechanism import (
 )
 from cablesense_sim.rotations import rotation_matrix
 
-_LEAST_KG = 1e-9
+_LIGHTEST_SEGMENT_KG = 1e-9
 """Mass of a segment, at least: its centre is a ratio of two moments."""
 
 
@@ -138,7 +138,7 @@ class Payload(Effect):
         mass = mechanism.mass_kg + affected * values["mass_kg"]
         added = values["mass_kg"] * self.lever(mechanism, place, values)
         moment = mechanism.mass_kg * mechanism.centre_of_mass_m + affected * added
-        heavy = np.maximum(mass, _LEAST_KG)
+        heavy = np.maximum(mass, _LIGHTEST_SEGMENT_KG)
         return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)
 
 

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_bytes, read_bounded_text
 from cablesense_base.plain_yaml import FilePart, Number, read_plain
+from cablesense_sim.tolerances import StandardDeviations
 
 MAX_FILE_BYTES = 200_000
 """A machine file is a page or two of text."""
@@ -39,7 +40,7 @@ _NotNegative = Annotated[Number, Field(ge=0.0)]
 _Share = Annotated[Number, Field(ge=0.0, le=0.5)]
 
 
-class Channels(FilePart):
+class SensorGroup(FilePart):
     """Sensors of one kind: whose forces they read, their noise, step and range.
 
     Attributes:
@@ -55,7 +56,7 @@ class Channels(FilePart):
     range: tuple[Number, Number] | None = None
 
     @model_validator(mode="after")
-    def _is_possible(self) -> Channels:
+    def _is_possible(self) -> SensorGroup:
         if len(set(self.of)) < len(self.of):
             raise ValueError("names a tendon or joint twice; each has one sensor")
         if self.noise_std == 0.0 and self.step == 0.0:
@@ -73,8 +74,8 @@ class Sensors(FilePart):
         torque: of joints: what the drive gives, as `effort` of `joint_states`.
     """
 
-    tension: Channels | None = None
-    torque: Channels | None = None
+    tension: SensorGroup | None = None
+    torque: SensorGroup | None = None
 
     @model_validator(mode="after")
     def _reads_something(self) -> Sensors:
@@ -157,7 +158,7 @@ class Touch(FilePart):
         return self
 
 
-class MachineTolerances(FilePart):
+class MachineTolerances(StandardDeviations):
     """By how much a built machine may differ from its model: one standard deviation each.
 
     The defaults are those of a careful workshop, as those of the arm file (`Tolerances`).
@@ -191,12 +192,6 @@ class MachineTolerances(FilePart):
     joint_noise_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = 0.005
     joint_noise_m: Annotated[Number, Field(ge=0.0, le=0.02)] = 1e-5
     drift_per_hour: _NotNegative = 1.0
-
-    def scaled(self, factor: float) -> MachineTolerances:
-        """All of them times a factor; zero states that the machine equals its model."""
-        return self.model_copy(
-            update={name: factor * value for name, value in self.model_dump().items()}
-        )
 
 
 class MachineFile(FilePart):

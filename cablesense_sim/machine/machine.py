@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_sim.machine.coordinates import Coordinates, coordinates_of
 from cablesense_sim.machine.description import (
-    Channels,
     MachineError,
     OpenedMachine,
+    SensorGroup,
     TouchedLink,
     read_machine_file,
 )
@@ -354,7 +354,7 @@ def _channels(
     units: list[str] = []
     tendon_numbers: list[int] = []
     coordinate_numbers: list[int] = []
-    groups: list[tuple[Channels, int]] = []
+    groups: list[tuple[SensorGroup, int]] = []
     if tension is not None:
         names += tension.of
         units += ["N"] * len(tension.of)

@@ -30,10 +30,10 @@ _LEAST_LIMIT = 1e-6
 """Logarithm of the ratio of tensions that every bend holds: else some cables slip for ever."""
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
-_LONGEST = 0.02
+_LONGEST_STEP = 0.02
 """Longest step, rad or m: ends of sticking are close to each other."""
 _MOST_STEPS = 200
-_AGAIN = 10
+_STEPS_PER_DERIVATIVE = 10
 """Steps after which the derivative at constant tensions is taken anew."""
 _LEAST_STIFFNESS = 1e-4
 """Against any motion, over that against the stiffest: where there is less, steps lead nowhere."""
@@ -140,11 +140,6 @@ class QuasiStaticMachine:
         """(n,) at the last rest."""
         return self._pose.copy()
 
-    @property
-    def piece_tensions_n(self) -> Array:
-        """(K, S) of the pieces at the last rest."""
-        return self._tensions_n.copy()
-
     def _compliance_m_n(self, run_compliance: float) -> Array:
         """(K, S) of the pieces, by their lengths in the reference pose; the first has the run."""
         length_m = self._paths.at(self._simulated.machine.reference).length_m
@@ -164,14 +159,14 @@ class QuasiStaticMachine:
         """The next rest, by Newton's steps, cut where they lead over ends of sticking."""
         state = self._state(self._pose, unstretched_m, forces)
         for number in range(_MOST_STEPS):
-            if number % _AGAIN == 0:
+            if number % _STEPS_PER_DERIVATIVE == 0:
                 constant = self._statics.load_slope(state.pose, state.tensions_n[:, 0])
             step = np.linalg.solve(_stiffened(-constant - state.elastic_slope), state.residual)
             length = float(np.abs(step).max())
             if length < _REST:
                 return state
             driven = float(step @ state.residual)
-            share = min(1.0, _LONGEST / length)
+            share = min(1.0, _LONGEST_STEP / length)
             next_state = self._state(state.pose + share * step, unstretched_m, forces)
             while share > _SMALLEST_SHARE and float(step @ next_state.residual) < -_CUT * driven:
                 share *= _CUT

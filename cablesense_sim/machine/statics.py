@@ -35,7 +35,7 @@ _SWING = 2.0
 """A sudden acceleration swings an undamped machine by twice what a steady one bends it."""
 _LEAST_SHARE = 1e-6
 """Shortest part of a step that is tried before a search for rest ends."""
-_LONGEST = 0.5
+_LONGEST_STEP = 0.5
 """Longest step, rad or m: a machine is another one there."""
 _LESS = 0.1
 """Share by which a whole step must lessen the force along it."""
@@ -285,7 +285,7 @@ class MachineStatics:
             if length < _REST:
                 return here.pose, here.tensions_n
             downhill = float(step @ here.residual)
-            share = min(1.0, _LONGEST / length)
+            share = min(1.0, _LONGEST_STEP / length)
             there = self._state(here.pose + share * step, unstretched_m, acting)
             # a shorter step need not lessen the force along it by as much
             while (

@@ -301,11 +301,6 @@ def tension_gain(
     return np.nan_to_num(gain).reshape(count, cables, columns // cables)
 
 
-def reading_variance_n2(dataset: Dataset) -> float:
-    """Of one tension difference."""
-    return difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
-
-
 def force_covariance_n2(dataset: Dataset) -> Array:
     """Bound (B, N, 2, 2) on the covariance of the (y, z) force on each segment that is touched.
 
@@ -317,7 +312,8 @@ def force_covariance_n2(dataset: Dataset) -> Array:
     gain = tension_gain(dataset, segments, places_m, dataset.local_forces_n)
     lateral = gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3] * dataset.contacts[:, None, :, None]
     flat = lateral.reshape(*gain.shape[:2], -1)
-    information = np.swapaxes(flat, 1, 2) @ flat / reading_variance_n2(dataset)
+    variance_n2 = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
+    information = np.swapaxes(flat, 1, 2) @ flat / variance_n2
     diagonal = np.arange(flat.shape[2])
     information[:, diagonal, diagonal] += np.repeat(~dataset.contacts, 2, axis=1)
     covariance = np.linalg.pinv(information, hermitian=True).reshape(*shape, 2, shape[1], 2)

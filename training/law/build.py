@@ -62,7 +62,7 @@ class _SensedEstimator(nn.Module):
         covariance: Tensor,
         unrest_n2_m2: Tensor,
     ) -> EstimatorOutput:
-        """See `ArmEstimator`."""
+        """The posterior, as `ArmEstimator` gives it, of readings (B, M) of those sensors."""
         right_n = (reading_n - self.zero_n) @ self.unmixing
         return self.estimator(right_n, command_rad, mean + self.mean, covariance, unrest_n2_m2)
 
@@ -81,9 +81,8 @@ def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _Sens
         reading_variance_n2(arm.sensors),
         cable_friction(arm),
         touched_places(arm),
+        unexplained_n2=unexplained_n2,
     )
-    # which cables are taut is seen by the sensors' own noise
-    estimator.measurement.reading_variance_n2 += unexplained_n2
     listed = _listed_sensing(arm)
     return estimator if listed.is_perfect else _SensedEstimator(estimator, listed)
 
@@ -126,7 +125,10 @@ class TorchLaw:
         covariance: Array,
         unrest_n2_m2: Array,
     ) -> LawOutput:
-        """See `Law`."""
+        """What readings (B, M) say at commands (B, 2N), by parameters with a mean (P,).
+
+        The parameters have the covariance (P, P), torques by motion `unrest_n2_m2` (2N, 2N).
+        """
         inputs = (reading_n, command_rad, mean, covariance, unrest_n2_m2)
         with torch.no_grad():
             answer = self.estimator(

@@ -58,6 +58,7 @@ class ArmEstimator(nn.Module):
         friction: where the cables rub.
         touched: where the segments can be touched.
         pose_steps: Gauss-Newton steps from the command to the pose.
+        unexplained_n2: variance of readings by what is not known of the arm, N².
     """
 
     def __init__(
@@ -69,10 +70,17 @@ class ArmEstimator(nn.Module):
         friction: CableFriction,
         touched: TouchedPlaces,
         pose_steps: int = POSE_STEPS,
+        unexplained_n2: float = 0.0,
     ) -> None:
         super().__init__()
         self.measurement = MeasurementModel(
-            mechanism, held_by, parameters, reading_variance_n2, friction, pose_steps
+            mechanism,
+            held_by,
+            parameters,
+            reading_variance_n2,
+            friction,
+            pose_steps,
+            unexplained_n2,
         )
         length_m = mechanism.segment_length_m
         joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-import torch
 
 from cablesense_base import Array
 from cablesense_contact.machine.felt_directions import felt_across
-from cablesense_contact.machine.law import EVIDENCE, GRAPH_FORCE_N, STATED
+from cablesense_contact.machine.law import GRAPH_FORCE_N
 from cablesense_contact.machine.observation import Observer
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.statics import MachineStatics
 from cablesense_sim.touch import TouchedPlaces
-from cablesense_training.law.evidence import Evidence
 from cablesense_training.law.posterior import LARGEST_N
 from cablesense_training.law.statement import ContactStatement
 from cablesense_training.law.wrench import FORCE_STD_N
@@ -53,17 +48,3 @@ def _torque_scale(machine: Machine) -> Array:
     variance = np.einsum("nfj,nfj->j", unit, unit)
     floor = 1e-6 * float(variance.max())
     return np.asarray(FORCE_STD_N * np.sqrt(variance + floor))
-
-
-class TorchStater:
-    """The statement in PyTorch; a `cablesense_contact.machine.law.Stater`."""
-
-    def __init__(self, machine: Machine) -> None:
-        self._statement = machine_statement(machine).double().eval()
-
-    def __call__(self, evidence: Mapping[str, Array]) -> Mapping[str, Any]:
-        """See `Stater`."""
-        inputs = [torch.as_tensor(np.asarray(evidence[name])) for name in EVIDENCE]
-        with torch.no_grad():
-            stated = self._statement(Evidence._make(inputs))
-        return {name: value.numpy() for name, value in zip(STATED, stated, strict=True)}

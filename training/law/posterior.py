@@ -48,13 +48,13 @@ between them."""
 RADIUS_STD = 18.0**-0.5
 """Standard deviation of the same."""
 
-_LEAST_N = 0.05
+_SMALLEST_LATERAL_N = 0.05
 """Lateral forces count as no smaller where something is divided by them or scales with them."""
 PLACES = 33
 """Places of a segment's grid."""
-_WIDTH = 5.0
+_GRID_HALF_WIDTH_STD = 5.0
 """Standard deviations of the place that the grid covers to each side."""
-_BEYOND = 3.0
+_BEYOND_ENDS_STD = 3.0
 """Deviations of r f_x / f by which s is looked for beyond the ends of a segment."""
 _TINY_N = 1e-6
 """Larger than what the exporter to ONNX takes for zero, and leaves out."""
@@ -122,7 +122,7 @@ class PosteriorOfContact(nn.Module):
         self.middle_m = float(reach_m.mean())
         low = reach_m[:, :1, None]
         high = reach_m[:, 1:, None]
-        offset = _BEYOND * friction * radius * np.hypot(RADIUS_MEAN, RADIUS_STD)
+        offset = _BEYOND_ENDS_STD * friction * radius * np.hypot(RADIUS_MEAN, RADIUS_STD)
         self.mean_radius_m = constant(RADIUS_MEAN * radius)
         self.radius_variance_m2 = constant(RADIUS_STD**2 * radius**2)
         self.radius_square_m2 = constant((RADIUS_STD**2 + RADIUS_MEAN**2) * radius**2)
@@ -185,7 +185,7 @@ class PosteriorOfContact(nn.Module):
         self, table: Tensor, line: ContactLine, strength: Strength | None
     ) -> ContactPosterior:
         """The fits: f = V (A + s B) P τ with V⁻¹ = (A + s B) P (A + s B)' + prior."""
-        width = _WIDTH * line.std_m
+        width = _GRID_HALF_WIDTH_STD * line.std_m
         # of what lies off the segment the nearest part
         low = torch.minimum(line.place_m - width, self.last_m - line.std_m)
         high = torch.maximum(line.place_m + width, self.first_m + line.std_m)
@@ -226,7 +226,7 @@ class PosteriorOfContact(nn.Module):
         place = s
         place_variance = step**2 / 12.0 + 0.0 * s
         if self.on_surface:
-            per_squared = 1.0 / (squared + _LEAST_N**2)
+            per_squared = 1.0 / (squared + _SMALLEST_LATERAL_N**2)
             shift = axial * torch.sqrt(per_squared)
             spread = covariance[:, :, :1] * per_squared
             place = s - self.mean_radius_m * shift
@@ -283,7 +283,7 @@ def _rows_beside() -> Matrix:
 
 def _within(per_force2: Tensor) -> Tensor:
     """Inverse squares of lateral forces that are expected."""
-    return per_force2.clamp(LARGEST_N**-2, _LEAST_N**-2)
+    return per_force2.clamp(LARGEST_N**-2, _SMALLEST_LATERAL_N**-2)
 
 
 _AROUND = np.arange(3)

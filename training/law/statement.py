@@ -26,13 +26,13 @@ from cablesense_training.law.wrench import WrenchFit
 
 _POINTS = 49
 """Points at which a distribution is taken for the ends of its interval."""
-_WIDTH = 4.0
+_QUANTILES_HALF_WIDTH_STD = 4.0
 """Standard deviations that they cover to each side."""
 _LOW = 0.025
 """Lower end of the 95 % intervals, as a probability."""
 _HIGH = 0.975
 """Upper end of the 95 % intervals, as a probability."""
-_TINY = 1e-18
+_ZERO_VARIANCE_N2_M2 = 1e-18
 """Variance, (N·m)², that counts as zero: its root has no derivative there."""
 
 
@@ -161,7 +161,7 @@ class ContactStatement(nn.Module):
             contact_covariance=covariance,
             magnitude_ci95_n=self._magnitudes(*magnitudes),
             moment_n_m=around @ self.around_axes,
-            moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_TINY)),
+            moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_ZERO_VARIANCE_N2_M2)),
             fault_n=rival.faulty_free_n,
         )
 
@@ -182,8 +182,8 @@ class ContactStatement(nn.Module):
         """The interval (B, 2) of a mixture (B, 1, K) of normal magnitudes, up to the largest."""
         lateral = torch.sqrt(squared_n2)
         mean, std = _moments(weight, lateral, variance_n2)
-        low = (mean - _WIDTH * std).clamp(min=0.0)
-        points = low + (mean + _WIDTH * std - low) * self.points
+        low = (mean - _QUANTILES_HALF_WIDTH_STD * std).clamp(min=0.0)
+        points = low + (mean + _QUANTILES_HALF_WIDTH_STD * std - low) * self.points
         cdf = _mixture_cdf(points, mean, std, weight, lateral, variance_n2)
         # forces beyond the largest that is expected count only where all are
         inside = (cdf * (points <= LARGEST_N)).amax(2, keepdim=True)
@@ -193,7 +193,7 @@ class ContactStatement(nn.Module):
     def _places(self, one: ContactPosterior, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """The intervals (B, 2) of the place on the chosen segment, and along the arm."""
         mean, std = _moments(one.weight, one.place_m, one.place_variance_m2)
-        width = _WIDTH * std
+        width = _QUANTILES_HALF_WIDTH_STD * std
         low = torch.minimum(torch.maximum(mean - width, self.low_m), self.high_m - std)
         high = torch.maximum(torch.minimum(mean + width, self.high_m), self.low_m + std)
         points = low + (high - low) * self.points

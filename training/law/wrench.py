@@ -21,7 +21,7 @@ from cablesense_training.law.measurement import inverse
 FORCE_STD_N = 100.0
 """Prior deviation of each component of the forces that several contacts have in sum."""
 
-_TINY = 1e-18
+_ZERO_SQUARE = 1e-18
 """Square that counts as zero, in N², (N·m)² or their product: it is divided by."""
 
 
@@ -135,11 +135,11 @@ class WrenchFit(nn.Module):
         # of a contact m_y f_z = m_z f_y: a step towards that, and what it leaves of the covariance
         across = self.across @ mean
         towards = covariance @ across
-        share = towards / (across * towards).sum(2, keepdim=True).clamp(min=_TINY)
+        share = towards / (across * towards).sum(2, keepdim=True).clamp(min=_ZERO_SQUARE)
         mean = mean - share * (0.5 * (across * mean).sum(2, keepdim=True))
         covariance = covariance - share * towards.transpose(2, 3)
         _, force, moment = mean.split((1, 2, 2), dim=2)
-        squared = (force * force).sum(2, keepdim=True).clamp(min=_TINY)
+        squared = (force * force).sum(2, keepdim=True).clamp(min=_ZERO_SQUARE)
         # s = m · f / |f|², its derivative by f and m, and their covariance
         place = (moment * force).sum(2, keepdim=True) / squared
         slope = torch.cat([0.0 * place, moment - 2.0 * place * force, force], dim=2) / squared
@@ -156,7 +156,7 @@ class WrenchFit(nn.Module):
         _, force, moment = wrench.mean.split((1, 2, 2), dim=2)
         doubt = (wrench.covariance * self.lateral).sum((2, 3), keepdim=True)
         known = FORCE_STD_N**-2 / ((force * force).sum(2, keepdim=True) + doubt)
-        moment_squared = (moment * moment).sum(2, keepdim=True).clamp(min=_TINY)
+        moment_squared = (moment * moment).sum(2, keepdim=True).clamp(min=_ZERO_SQUARE)
         return Strength(known, self.middle_m**-2 * known * (doubt / moment_squared))
 
     def _of_unknowns(self, table: Tensor) -> tuple[Tensor, Tensor]:

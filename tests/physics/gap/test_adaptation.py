@@ -17,7 +17,6 @@ from cablesense_gap.adaptation import (
     diagnosed_calibration,
     withheld_trials,
 )
-from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import at_contact_points
 from cablesense_gap.verdict import Share
@@ -28,6 +27,7 @@ from cablesense_sim.arm import Arm, ListedEffect, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_sim.uncertain_arm import arm_parameters
+from tests.helpers.expected_parameters import expected_parameters
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.verdict_cases import verdict_of
 

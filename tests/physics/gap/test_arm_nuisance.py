@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablesense_gap.arm_nuisance import (
-    expected_parameters,
-    fitted_parameters,
-    terms_of,
-    tolerance_candidates,
-)
+from cablesense_gap.arm_nuisance import fitted_parameters, terms_of, tolerance_candidates
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis.fitting import refine
@@ -25,6 +20,7 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
 from cablesense_sim.tolerances import Tolerances
 from cablesense_sim.uncertain_arm import arm_parameters
+from tests.helpers.expected_parameters import expected_parameters
 from tests.helpers.gap_recordings import LAB, small_recording
 
 BUILT = open_arm("cdsm_lab")

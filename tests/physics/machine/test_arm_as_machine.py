@@ -17,7 +17,7 @@ from cablesense_sim.model import build_spec
 from cablesense_sim.touch import touched_places
 from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.law.build import TorchLaw
-from cablesense_training.law.machine import TorchStater
+from tests.helpers.torch_stater import TorchStater
 
 CONTACTS = 24
 SHARE = 0.01

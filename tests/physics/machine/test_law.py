@@ -13,8 +13,8 @@ from cablesense_contact.machine.law import MachineLaw
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import bent_command, example_machine, written_machine
+from tests.helpers.torch_stater import TorchStater
 
 CONTACTS = 60
 

@@ -13,8 +13,8 @@ from cablesense_contact.calibration_file import (
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_sim.machine.simulated import SimulatedMachine
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import bent_command, example_machine
+from tests.helpers.torch_stater import TorchStater
 
 POSES = 6
 READINGS = 20

@@ -15,8 +15,8 @@ from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import example_machine, written_machine
+from tests.helpers.torch_stater import TorchStater
 
 LINKS = 5
 LENGTH_M = 0.04

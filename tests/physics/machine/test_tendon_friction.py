@@ -14,7 +14,7 @@ from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
-from cablesense_contact.machine.tendon_friction import TendonFriction
+from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.slides import Belief
 from cablesense_online.machine_simulation import MachineSimulation
 from cablesense_online.simulation import SimulationSettings
@@ -26,13 +26,13 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce, MachineStatics
 from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE, TendonGuides
 from cablesense_sim.machine.tendon_paths import TendonPaths
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import (
     bent_command,
     example_machine,
     machine_with_friction,
     written_machine,
 )
+from tests.helpers.torch_stater import TorchStater
 
 EXAMPLES = ("finger", "hand", "seven_hinges", "continuum")
 COEFFICIENT = 0.2
@@ -229,10 +229,12 @@ def test_joints_that_are_measured_are_refused() -> None:
         QuasiStaticMachine(as_described(machine), machine.reference, 0.05)
 
 
-def carried_by(moving: QuasiStaticMachine, machine: Machine, friction: TendonFriction) -> Array:
+def carried_by(
+    moving: QuasiStaticMachine, machine: Machine, friction: CarriedTendonFriction
+) -> Array:
     """(G M,) what a machine that rubs carries at its guides, by the tensions on both sides."""
     paths = TendonPaths(machine)
-    tension_n = moving.piece_tensions_n
+    tension_n = moving._tensions_n  # of each piece, which no sensor reads
     wrap_rad = friction.guides.at(moving.pose).wrap_rad
     carried = np.zeros(wrap_rad.shape)
     for row in range(len(wrap_rad)):
@@ -251,7 +253,7 @@ def test_readings_follow_from_what_is_carried(tmp_path: Path, name: str) -> None
     machine = machine_with_friction(name, 0.05, tmp_path)
     observer = Observer(machine)
     parameters = observer.parameters
-    friction = TendonFriction(machine)
+    friction = CarriedTendonFriction(machine)
     command = bent_command(machine, seed=8)
     moving = QuasiStaticMachine(
         as_described(machine), machine.reference, 0.05, run_compliance=RUN_COMPLIANCE
@@ -299,7 +301,7 @@ def test_followed_slides_are_those_of_the_machine_that_rubs(tmp_path: Path) -> N
     coefficient = 0.05
     machine = machine_with_friction("finger", coefficient, tmp_path)
     felt = FeltModel(machine)
-    friction = TendonFriction(machine)
+    friction = CarriedTendonFriction(machine)
     mean = felt.parameters.prior_mean.copy()
     mean[felt.parameters.slices["friction"]] = coefficient
     known = Belief(mean, np.zeros((len(mean), len(mean))))

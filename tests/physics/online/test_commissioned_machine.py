@@ -17,8 +17,8 @@ from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import open_machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
-from cablesense_training.law.machine import TorchStater
 from tests.helpers.example_machines import MACHINES, bent_command, example_machine
+from tests.helpers.torch_stater import TorchStater
 
 NS = 1_000_000_000
 STEP_S = 0.2

@@ -27,6 +27,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 
 LAB = Path(config_path("arms/cdsm_lab.yaml"))
+POSES = 25
+BEND_RAD = float(np.deg2rad(10.0))
 NS = 1_000_000_000
 STEP_S = 0.2
 
@@ -44,7 +46,7 @@ def lab():
     tolerances = arm.tolerances.model_copy(update={"friction_coefficient": 0.0})
     arm = arm.model_copy(update={"tolerances": tolerances})
     law = law_of(arm)
-    return arm, law, chosen_poses(MovableArm(arm, law), law)
+    return arm, law, chosen_poses(MovableArm(arm, law), law, POSES, BEND_RAD)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +143,15 @@ def test_poses_are_refused_where_cables_get_slack(lab):
     arm, _, _ = lab
     slack = arm.model_copy(update={"cables": arm.cables.model_copy(update={"pretension_n": 8.0})})
     with pytest.raises(PoseError, match="above 20% of their pretension; 25 are needed"):
-        chosen_poses(MovableArm(slack, law_of(slack)), law_of(slack))
+        chosen_poses(MovableArm(slack, law_of(slack)), law_of(slack), POSES, BEND_RAD)
+
+
+@pytest.mark.slow
+def test_as_many_poses_are_chosen_as_the_commissioner_may_be_asked_for(lab):
+    arm, law, _ = lab
+    most = 200
+    poses = chosen_poses(MovableArm(arm, law), law, most, BEND_RAD)
+    assert len(np.unique(poses, axis=0)) == most
 
 
 def test_predicted_readings_are_those_of_the_equilibrium(lab):
@@ -161,7 +171,8 @@ def test_a_commissioning_takes_less_than_five_minutes(name):
     arm = open_arm(name)
     settings = CommissioningSettings()
     movable = MovableArm(arm, law_of(arm))
-    stops = visits(movable, chosen_poses(movable, law_of(arm)), settings)
+    poses = chosen_poses(movable, law_of(arm), POSES, BEND_RAD)
+    stops = visits(movable, poses, settings)
     assert len(stops) == (50 if name == "cdsm_friction" else 25)
     speed = settings.joint_speed_rad_s
     taken_s = expected_duration_s(stops, settings, np.zeros(8), arm.sensors.rate_hz, speed)

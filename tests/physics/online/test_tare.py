@@ -17,8 +17,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.law.build import TorchLaw
-from cablesense_training.law.machine import TorchStater
-from tests.helpers.example_machines import machine_of_two_motors
+from tests.helpers.example_machines import example_machine, machine_of_two_motors
+from tests.helpers.torch_stater import TorchStater
 
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
@@ -66,7 +66,7 @@ class Tared:
 
     @property
     def refusal(self):
-        return refusal(self.state, SETTINGS)
+        return refusal(self.state, SETTINGS, FeltArm(ARM).channels)
 
 
 def calibrated(law, calibration=None):
@@ -78,7 +78,7 @@ def test_a_tare_needs_enough_steady_readings_at_one_pose(law):
     assert "only 0 of 5 usable readings" in arm.refusal
     for k in range(5):
         arm.add(tensions(STRAIGHT) + 3.0 * (k % 2))
-    assert "varies by" in arm.refusal
+    assert " varies by 1.47 N (" in arm.refusal
     arm.fill(STRAIGHT)
     assert arm.refusal == ""
     arm.fill(BENT, count=0)
@@ -97,7 +97,7 @@ def test_a_tare_updates_what_is_known_in_every_pose(law):
     arm.fill(BENT).take(NOW_NS + 10**9)
     assert len(arm.state.calibration.unloaded) == 2
     estimation = EstimationState(MotionGate(SETTINGS).at_rest(BENT), arm.state)
-    assert "2 tares" in tare_status(estimation, SETTINGS, None).message
+    assert "2 tares" in tare_status(estimation, "", None).message
 
 
 def test_readings_of_a_loaded_arm_are_refused_with_what_they_would_mean(law):
@@ -144,6 +144,20 @@ def test_a_tare_of_more_tendons_than_joints_is_described_by_the_joints(tmp_path)
         arm.add(np.array([10.0, 10.0]))
     described = arm.take().described(felt)
     assert "left 10.00, right 10.00; joints' torques within " in described
+
+
+def test_an_unsteady_channel_of_a_machine_is_named_with_its_unit():
+    felt = FeltModel(example_machine("six_axis"))
+    names = felt.channels.names
+    law = MachineLaw(felt.source, TorchStater(felt.source))
+    arm = CalibratedArm(felt, law, SETTINGS)
+    state = arm.at(arm.begin(), felt.first_command)
+    for k in range(SETTINGS.tare_samples):
+        reading = np.zeros(len(names))
+        reading[2] = 8.0 * (k % 2)
+        state = with_reading(state, reading.tolist(), SETTINGS.tare_samples)
+    with pytest.raises(TareError, match=rf"{names[2]} varies by 3\.92 N·m \("):
+        arm.taken(state, NOW_NS)
 
 
 def test_a_loaded_calibration_needs_no_tare_and_can_be_replaced(law):

@@ -13,6 +13,7 @@ import yaml
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
+from cablesense_msgs_py import topics
 from cablesense_recording.checks import read_recording
 from cablesense_recording.column_map import read_column_map
 from cablesense_recording.csv_file import write_table
@@ -24,6 +25,7 @@ from cablesense_sim import (
     read_tensions_n,
     solve_equilibrium,
 )
+from cablesense_sim.joint_motion import JointMotion
 from tests.helpers.bags import Bag
 from tests.helpers.checkout import CHECKOUT
 
@@ -130,6 +132,59 @@ def test_a_bag_of_other_topics_is_estimated_too(
     summary = estimated(bag, "--columns", meant, "--out", tmp_path / "found.csv")
     assert summary["strongest"]["segment"] == 3
     assert summary["strongest"]["magnitude_n"] == pytest.approx(PUSH_N, rel=0.1)
+
+
+@pytest.mark.slow
+def test_rows_without_an_answer_say_why_no_tare_is_taken(
+    run: tuple[np.ndarray, ...], tmp_path: Path
+) -> None:
+    time_s, command_rad, tensions_n = run
+    pushed_first = np.roll(tensions_n, -PUSHED.start, axis=0)
+    recording = tmp_path / "my.csv"
+    joints = {f"q{number + 1}_cmd_rad": command_rad[:, number] for number in range(8)}
+    cables = {f"tension_{number + 1}_n": pushed_first[:, number] for number in range(12)}
+    write_table(recording, {"time_s": time_s, **joints, **cables}, "%.9g")
+    out = tmp_path / "found.csv"
+    estimated(recording, "--out", out, "--tare-rows", 10)
+    with out.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    untared = [row for row in rows if row["state"] == "untared"]
+    assert len(untared) > 20
+    assert all(row["doubt"] for row in untared)
+    assert "tare_force" in untared[15]["doubt"]
+
+
+@pytest.mark.slow
+def test_an_arm_on_its_way_to_its_first_command_is_not_tared(tmp_path: Path) -> None:
+    """It is commanded to another pose, half a second after the recording has begun."""
+    rate_hz, before = 50.0, 25
+    pose_rad = np.deg2rad([7.0, -5.0, 6.0, 7.0, -7.0, 5.0, 6.0, -7.0])
+    time_s = np.arange(450) / rate_hz
+    course = JointMotion.at_rest(np.zeros(8), np.deg2rad(20.0)).towards(pose_rad)
+    poses_rad = np.array([course.at(max(0.0, t - time_s[before])).angle_rad for t in time_s])
+    tensions_n = solve_equilibrium(mechanism_of(ARM), poses_rad).tensions_n
+    read_n = read_tensions_n(tensions_n, ARM.sensors, np.random.default_rng(0))
+    bag = tmp_path / "run.mcap"
+    with Bag(bag) as written:
+        for row, reading_n in enumerate(read_n):
+            stamp = int(1e9 * time_s[row]) + 10**18
+            if row == before:
+                written.joint_state(
+                    topics.JOINT_COMMANDS, stamp, stamp, ARM.joint_names, position=pose_rad
+                )
+            written.joint_state(
+                topics.CABLE_TENSIONS, stamp, stamp, ARM.cable_names, effort=reading_n
+            )
+    out = tmp_path / "found.csv"
+    result = CliRunner().invoke(app, ["estimate", str(bag), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "Left out: 25 rows before the first message on joint_commands" in result.output
+    with out.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(read_n) - before
+    assert {row["state"] for row in rows[:50]} == {"moving"}
+    assert {row["segment"] for row in rows} == {"0"}
+    assert rows[-1]["state"] in ("free", "hidden")
 
 
 def test_the_sensors_check_reads_by_the_same_map(foreign: tuple[Path, Path]) -> None:

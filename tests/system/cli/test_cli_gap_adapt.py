@@ -12,13 +12,13 @@ import pytest
 from cablesense_contact.calibration_file import read_calibration
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap import adaptation
-from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.verdict import Share
 from cablesense_recording.csv_file import write_csv
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.replay import replay_arm
 from cablesense_training.errors import TrainingError
+from tests.helpers.expected_parameters import expected_parameters
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import draw_no_pictures
 from tests.helpers.verdict_cases import verdict_of

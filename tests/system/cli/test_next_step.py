@@ -14,7 +14,6 @@ from cablesense_contact.calibration_file import read_calibration
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap import adaptation
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
-from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import recorded_errors
 from cablesense_gap.report.next_step import Given, next_step, robot_next_step
@@ -25,6 +24,7 @@ from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.law.build import TorchLaw
+from tests.helpers.expected_parameters import expected_parameters
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import draw_no_pictures
 from tests.helpers.verdict_cases import verdict_of

@@ -9,7 +9,7 @@ import pytest
 
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.felt_arm import FeltArm
-from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_online.models import load_model
 from examples.cpp_estimator import known
 from tests.helpers.checkout import CHECKOUT
@@ -23,7 +23,7 @@ def names(what):
 
 
 def test_it_names_the_inputs_in_order_and_outputs_that_there_are():
-    assert tuple(names("inputs")) == INPUTS
+    assert tuple(names("inputs")) == GRAPH_INPUTS
     assert set(names("outputs")) <= set(LawOutput._fields)
 
 

@@ -66,7 +66,7 @@ def driver(link, emulator, start_for_all):
         path, SensorCalibration(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
     )
     bus = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-    return start_for_all("can_driver", calibration=path, **bus)
+    return start_for_all("can_driver", sensor_calibration_file=path, **bus)
 
 
 def feed(graph, condition, what):

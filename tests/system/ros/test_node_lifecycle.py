@@ -26,7 +26,10 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_base import CableSenseError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import resolved
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.inputs import REPLAYED_FROM
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.endpoints import RefusalLog
@@ -65,6 +68,16 @@ def make_node():
     for node in nodes:
         node.destroy_node()
     try_shutdown()
+
+
+def test_a_replay_knows_every_topic_that_a_live_estimator_takes(make_node):
+    """Forgotten in `REPLAYED_FROM`, a new input would be missing from every replay."""
+    node = make_node(EstimatorNode, given={"autostart": True})
+    node.autostart()
+    look = node.get_subscriber_names_and_types_by_node
+    taken = {topic for topic, _ in look(node.get_name(), node.get_namespace())}
+    of_arms = REPLAYED_FROM.keys() - {topics.JOINT_STATES}  # of machines with measured joints
+    assert taken - {"/parameter_events", "/clock"} == {resolved(topic) for topic in of_arms}
 
 
 def test_a_parameter_shows_its_description_and_range(make_node):
@@ -168,7 +181,7 @@ def test_a_wrong_parameter_ends_a_node_with_one_line(node, parameters, reason, t
     [
         (EstimatorNode, {"model": "none.onnx"}, "none.onnx"),
         (CanDriverNode, {"map": "none"}, "bundled channel maps are"),
-        (CanDriverNode, {"calibration": "none.yaml"}, "none.yaml: cannot be read"),
+        (CanDriverNode, {"sensor_calibration_file": "none.yaml"}, "none.yaml: cannot be read"),
         (CanDriverNode, {"interface": "none"}, "unknown to python-can"),
     ],
 )

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cablesense_gap.amended_arm import amended_arm
-from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.text import headline
@@ -23,6 +22,7 @@ from cablesense_gap.verdict import (
     read_verdict,
 )
 from cablesense_sim.arm import load_arm
+from tests.helpers.expected_parameters import expected_parameters
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import Page, draw_no_pictures
 from tests.helpers.verdict_cases import gap_of, verdict_of

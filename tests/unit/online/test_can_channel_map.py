@@ -225,7 +225,7 @@ def test_what_is_written_is_read(tmp_path):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, made)
     assert load_calibration(path) == made
-    assert "-p calibration" in path.read_text(encoding="utf-8")
+    assert "-p sensor_calibration_file" in path.read_text(encoding="utf-8")
     assert list(tmp_path.iterdir()) == [path]
 
 

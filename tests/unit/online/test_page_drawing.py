@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.page.arrows import Arrows, arrow_m, place_m, pulled_contact
 from cablesense_online.page.figures import covered_m, html, interval_text, known_text, places_text
+from cablesense_online.page.headline import Words
 from cablesense_online.page.shown_arm import ShownArm, cable_pieces
-from cablesense_online.page.snapshot import PlaceInterval, Words
+from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_online.page.traces import TraceBuffer, reading_lines
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of

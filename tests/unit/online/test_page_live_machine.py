@@ -331,3 +331,11 @@ def test_the_interval_of_an_untouched_arm_is_of_no_force(live):
     ends = {"WRENCH_LOWER": wrench("base_link"), "WRENCH_UPPER": wrench("segment_1", (0, 19, 0))}
     receive(live, ForceState.FREE, 1.0, **ends)
     assert live.snapshot(1.0).bounds is None
+
+
+@pytest.mark.parametrize("topic", [topics.WRENCH_BASE, topics.SEGMENT_WRENCHES.format(5), "wind"])
+def test_a_message_of_another_topic_is_refused_and_named(live, topic):
+    before = live.snapshot(0.0)
+    with pytest.raises(CableSenseError, match=topic):
+        live.take(topic, wrench("segment_3", (0, 3, 3)), 0.0)
+    assert live.snapshot(0.0).estimated == before.estimated

@@ -7,7 +7,9 @@ import pytest
 
 from cablesense_msgs_py.messages import Contact, ForceState, Level
 from cablesense_online.page.figures import html
-from cablesense_online.page.snapshot import GUESS_DEG, Score, ShownStatus, Snapshot, Words
+from cablesense_online.page.headline import Words
+from cablesense_online.page.score import GUESS_DEG, Score
+from cablesense_online.page.snapshot import ShownStatus, Snapshot
 
 WORDS = Words("arm", "segment", ("1", "2", "3", "4"))
 

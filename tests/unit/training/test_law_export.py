@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from cablesense_contact.inference.session import open_session
-from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_sim.arm import open_arm
 from cablesense_training.law.estimator import EstimatorOutput
 from cablesense_training.law_export import _to_onnx
@@ -50,7 +50,7 @@ def session(law, given):
 @pytest.mark.parametrize("rows", [1, ROWS])
 def test_the_graph_answers_as_pytorch_does(law, given, session, rows):
     inputs = [each[:rows] if place < 2 else each for place, each in enumerate(given)]
-    there = session.run(None, dict(zip(INPUTS, inputs, strict=True)))
+    there = session.run(None, dict(zip(GRAPH_INPUTS, inputs, strict=True)))
     with torch.no_grad():
         here = law.estimator(*(torch.as_tensor(each) for each in inputs))
     for name, one, other in zip(EstimatorOutput._fields, there, here, strict=True):

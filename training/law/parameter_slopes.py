@@ -1,0 +1,98 @@
+"""How readings follow the uncertain parameters, about the state that a reading shows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from cablesense_training.law.friction import CarriedTensions, guides_up_to_joints
+from cablesense_training.law.geometry import SegmentFrames, Spans, constant
+from cablesense_training.law.parameters import Parameters
+from cablesense_training.law.weight import Weighed
+
+
+class State(NamedTuple):
+    """The state that B readings show: an exact one, as torques balance its tensions.
+
+    Attributes:
+        pose_rad: (B, 1, 2N) joint angles.
+        spans: of the cables there.
+        straight_by_hole: (2 (N + 1), M) of a straight arm's cable lengths by their holes.
+        held_slope_m: (B, 2N, M) of the held lengths by the commanded angles.
+        carried: what friction makes of the tensions at the actuators.
+        tension_n: (B, 1, M) at the actuators.
+        stiffness_n_m: (B, 1, M) of the cables; zero of slack ones.
+        across_n: (B, N, 1, M) tensions across the joints.
+        jacobian_m: (B, 2N, M) torques of one newton at each actuator.
+        frames: of the segments.
+        weighed: the weight of the segments.
+    """
+
+    pose_rad: Tensor
+    spans: Spans
+    straight_by_hole: Tensor
+    held_slope_m: Tensor
+    carried: CarriedTensions
+    tension_n: Tensor
+    stiffness_n_m: Tensor
+    across_n: Tensor
+    jacobian_m: Tensor
+    frames: SegmentFrames
+    weighed: Weighed
+
+
+class ParameterSlopes(nn.Module):
+    """G (B, M, P): derivative of readings by parameters at fixed contact torques."""
+
+    def __init__(self, segment_count: int, cable_count: int) -> None:
+        super().__init__()
+        count = segment_count
+        cables = cable_count
+        self.reaches = constant(guides_up_to_joints(count)[:, None, :, None])
+        # a cable has a stiffness, a pretension, a compliance of its run, 2 (N + 1) numbers of
+        # holes, and N + 1 carried frictions
+        self.same_cable = constant(np.tile(np.eye(cables), 3 * count + 6))
+        self.same_sensor = constant(np.tile(np.eye(cables), 2))
+        self.plain_and_exponents = ((2 * count + 5) * cables, (count + 1) * cables)
+        self.by_gain = constant(np.array([[1.0], [0.0]]))
+        self.by_zero = constant(np.array([[0.0], [1.0]]))
+        self.nothing = constant(np.zeros((3, 1)))
+
+    def forward(self, given: Parameters, state: State, by_torque: Tensor) -> Tensor:
+        """G at a state; `by_torque` (B, M, 2N) is the derivative by contact torques."""
+        # Parameters of one cable: its own tension at a fixed pose (A), and torques beside (B).
+        # At a guide they are in the exponent ε Φ, which acts on the state.spans behind it.
+        by_pretension = state.stiffness_n_m * given.compliance_m_n
+        by_stiffness = state.tension_n - given.pretension_n * by_pretension
+        by_hole = state.stiffness_n_m * (state.spans.by_hole - state.straight_by_hole)
+        by_compliance = -(state.tension_n * by_pretension)
+        by_run = state.carried.by_run * by_compliance
+        by_exponent = state.carried.by_exponent * by_compliance
+        by_own_parameter = torch.cat(
+            [by_stiffness, by_pretension, by_run, by_hole, by_exponent], dim=1
+        )
+        rubbed = (state.spans.slope_m * state.across_n)[:, :, :, None] * self.reaches
+        turned = state.spans.slope_by_hole * state.across_n[:, :, :, None]
+        beside = torch.cat([self.nothing * rubbed[:, :, :, :3], turned, rubbed], dim=3)
+        torques = state.jacobian_m[:, :, None] * by_own_parameter[:, None] + beside.flatten(1, 2)
+        gained = (by_own_parameter * given.gain).flatten(1)[:, None]
+        of_cables = self.same_cable * gained - by_torque @ torques.flatten(2)
+        plain, of_exponents = of_cables.split(self.plain_and_exponents, dim=2)
+        of_carried = of_exponents * state.carried.wrap_rad.flatten(1)[:, None]
+        # the coefficient itself is in no reading: only what is state.carried of it
+        of_coefficient = 0.0 * of_exponents[:, :, :1]
+
+        # a sensor reads its tension times its gain, and its zero
+        sensed = self.by_gain * state.tension_n + self.by_zero
+        of_sensors = self.same_sensor * sensed.flatten(1)[:, None]
+
+        # joint zeros hold other lengths
+        slack_n = state.stiffness_n_m.transpose(1, 2) * state.held_slope_m.transpose(1, 2)
+        of_zeros = by_torque @ (state.jacobian_m @ slack_n) - slack_n * given.gain[:, None]
+
+        of_bodies = by_torque @ state.weighed.by_parameter
+        parts = [plain, of_carried, of_sensors, of_bodies, of_zeros, of_coefficient]
+        return torch.cat(parts, dim=2)
