@@ -158,10 +158,10 @@ def test_the_bound_grows_with_noise_and_falls_with_force(touches):
 @pytest.mark.slow
 def test_arms_of_the_tolerances_are_answered_and_intervals_hold():
     law = TorchLaw(LAB)
-    protocol = law_protocol(LAB, 400)
+    protocol = law_protocol(LAB, 1200)
     built = evaluate_built(law, LAB, protocol, seed=1)
     exact = evaluate_exact(law, LAB, protocol, seed=1)
-    assert built.arms == 4
+    assert built.arms == 12
     assert built.doubted_calibrations == 0
     for found in (built, exact):
         assert found.free > 0.98
