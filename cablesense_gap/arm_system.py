@@ -132,9 +132,10 @@ class ArmSystem(ArmSimulator, System):
                 )
         return fitted_numbers
 
-    def trial_number(self, part: int) -> int:
-        """The recording's number of a trial; a long one has several parts."""
-        return int(self.recording.trial[self.trial == part][0])
+    def trial_labels(self, parts: Sequence[int]) -> tuple[int, ...]:
+        """The recording's numbers, the lowest first; a long trial has several parts."""
+        numbers = np.unique(self.recording.trial[np.isin(self.trial, parts)])
+        return tuple(numbers.tolist())
 
     def channel_groupings(self) -> Sequence[NDArray[np.int64]]:
         """Each cable by itself, and the cables that end on a segment."""

@@ -306,13 +306,12 @@ def _unlisted(
         in_one = max(gap.unlisted or 0.0 for gap in channels.values())
         return UnlistedBeside(probability=max(probability, in_one), channels=acting)
     acts = beside.extent.readings(problem)
-    trials = {system.trial_number(int(number)) for number in beside.extent.trials.nonzero()[0]}
     residuals = (problem.readings - each for each in (problem.nominal, explained.held_out))
     before_n, after_n = (float(np.sqrt((each[acts] ** 2).mean())) for each in residuals)
     return UnlistedBeside(
         probability=probability,
         channels=acting,
-        trials=tuple(sorted(trials)),
+        trials=system.trial_labels(beside.extent.trials.nonzero()[0].tolist()),
         before_n=before_n,
         after_n=after_n,
     )

@@ -188,9 +188,13 @@ class System(ABC):
         """
         return (np.arange(self.readings.shape[1]),)
 
-    def trial_number(self, part: int) -> int:
-        """The recording's number of a trial, of which `trial` has the part."""
-        return int(np.unique(self.trial)[part])
+    def trial_labels(self, parts: Sequence[int]) -> tuple[int | str, ...]:
+        """What the recording's user knows some trials by, each once.
+
+        `parts` are those of `trial`, counted from 0 in the order of their numbers.
+        """
+        numbers = np.unique(self.trial)[list(parts)]
+        return tuple(numbers.tolist())
 
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """Gaps by channel in their own units, in the order of the channels; may be empty.

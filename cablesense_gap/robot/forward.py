@@ -53,7 +53,9 @@ class ForwardComparison(MotionComparison):
         """Take a robot and its motion as it was measured."""
         self._robot = robot
         span = _span(motion)
-        begins, self.trial = _windows(motion, span, _substeps(robot, motion))
+        begins, of_trials = _windows(motion, span, _substeps(robot, motion))
+        compared_trials, self.trial = np.unique(of_trials, return_inverse=True)
+        self.trial_labels = tuple(motion.trials[number].label for number in compared_trials)
         self._rollouts = Rollouts(robot, motion, begins, span)
         self.span_s = span / motion.rate_hz
         self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
@@ -254,7 +256,7 @@ def _substeps(robot: Robot, motion: Motion) -> int:
 def _windows(
     motion: Motion, span: int, substeps: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (Q,) among those of all trials, and numbers (Q,) of the trials without gaps.
+    """First rows (Q,) among those of all trials, and of which of the motion's trials (Q,).
 
     Raises:
         RecordingError: there are too few.
@@ -276,7 +278,7 @@ def _windows(
             f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
             f"trials of several seconds, for {_FEWEST} at least"
         )
-    return begin, np.unique(trial, return_inverse=True)[1]
+    return begin, trial
 
 
 def _ends_of_trials(motion: Motion, begins: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -210,6 +210,7 @@ class InverseComparison(MotionComparison):
         self.noise = self.floor * np.sqrt((counted**2).mean(0))
         self.readings = self._compared(motion.torque)
         self.trial = motion.compared_trial
+        self.trial_labels = motion.compared_labels
         self.time_s = motion.compared_time_s
         self.description = (
             f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
@@ -316,6 +317,7 @@ class ServoComparison(MotionComparison):
         self.noise = self.floor
         self.readings = motion.passed(motion.position - self._target)
         self.trial = motion.compared_trial
+        self.trial_labels = motion.compared_labels
         self.time_s = motion.compared_time_s
         self.description = (
             "Positions measured outside the drives are compared with those that the servos' "

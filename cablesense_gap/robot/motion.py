@@ -15,6 +15,7 @@ from scipy.signal import butter, sosfiltfilt
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.robot.model import Change
+from cablesense_recording.robot_recording import TrialLabel
 
 LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
@@ -176,9 +177,14 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial at the recording's rate: T rows, each (T, …)."""
+    """One trial at the recording's rate: T rows, each (T, …).
+
+    Attributes:
+        number, label: of `RobotRecording.trial` and `trial_label`.
+    """
 
     number: int
+    label: TrialLabel
     time_s: Array
     position: Array
     torque: Array
@@ -209,6 +215,7 @@ class Motion(Trajectory):
         compared_hz: bandwidth of the comparison.
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
         compared_trial, compared_time_s: (Q,) of those; trials without any have no number.
+        compared_labels: of the trials in `compared_trial`, as the recording's user knows them.
         forward: whether the comparison is to go forward in time.
         zeroed: whether encoders were set to zero where each trial begins.
         external: whether positions were measured outside the drives.
@@ -230,6 +237,7 @@ class Motion(Trajectory):
     compared_hz: float
     passes: tuple[Array, ...]
     compared_trial: NDArray[np.int64]
+    compared_labels: tuple[TrialLabel, ...]
     compared_time_s: Array
     forward: bool
     zeroed: bool
@@ -321,6 +329,7 @@ class MotionComparison(ABC):
         noise: (C,) the same, over all rows, of which some may not count for a channel.
         readings: (Q, C) in those units.
         trial, time_s: (Q,).
+        trial_labels: of the trials in `trial`, 0 to T - 1, as the recording's user knows them.
         description: how it is compared, as a sentence.
     """
 
@@ -331,6 +340,7 @@ class MotionComparison(ABC):
     noise: Array
     readings: Array
     trial: NDArray[np.int64]
+    trial_labels: tuple[TrialLabel, ...]
     time_s: Array
     description: str
 

@@ -182,11 +182,11 @@ def _prepared(
     rows_hz = rate_hz / step
     passes, kept = _low_passes([len(p["time_s"][::step]) for p in parts], rows_hz, compared_hz)
     joined["trial"] = trial = np.unique(joined["trial"], return_inverse=True)[1]
-    numbers, compared_trial = np.unique(trial[kept], return_inverse=True)
-    if len(kept) < _FEWEST_ROWS or len(numbers) < 2:
+    compared_trials, compared_trial = np.unique(trial[kept], return_inverse=True)
+    if len(kept) < _FEWEST_ROWS or len(compared_trials) < 2:
         raise _FewRowsError(
-            f"{recording.name}: {len(kept)} rows of {len(numbers)} trials are left of it after "
-            f"smoothing to {compared_hz:.3g} Hz, where {_FEWEST_ROWS} rows of 2 are needed; "
+            f"{recording.name}: {len(kept)} rows of {len(compared_trials)} trials are left of it "
+            f"after smoothing to {compared_hz:.3g} Hz, where {_FEWEST_ROWS} rows of 2 are needed; "
             "record more trials of several seconds",
             compared_hz,
             at_widest=compared_hz >= most_hz,
@@ -210,6 +210,7 @@ def _prepared(
         compared_hz=compared_hz,
         passes=passes,
         compared_trial=compared_trial,
+        compared_labels=tuple(smooth[number].label for number in compared_trials),
         compared_time_s=joined["time_s"][kept],
         forward=not external and (by_command if forward is None else forward),
         zeroed=zeroed,
@@ -239,7 +240,8 @@ def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
             _interpolated(time_s, recorded_s, values[rows])
             for values in (recording.position, recording.torque, recording.command)
         )
-        trials.append(Trial(number, time_s, position, _without_glitches(torque), command))
+        label = recording.trial_label(number)
+        trials.append(Trial(number, label, time_s, position, _without_glitches(torque), command))
     if not trials:
         raise _too_short(recording)
     return trials, interval_s

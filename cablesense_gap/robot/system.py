@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ from cablesense_gap.verdict import (
 )
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
+from cablesense_recording.robot_recording import TrialLabel
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
@@ -287,8 +289,9 @@ class RobotSystem(System):
         by_trial = np.bincount(self.trial, (residual**2).mean(1))
         size = np.sqrt(by_trial / np.bincount(self.trial))
         most = f"Most is left at {self.comparison.names[worst]}: {residual_rms[worst]:.3g} floors."
+        label = self.comparison.trial_labels[int(size.argmax())]
         again = (
-            f"Repeat trial {size.argmax()}, which has the largest residual ({size.max():.3g} "
+            f"Repeat trial {label}, which has the largest residual ({size.max():.3g} "
             "floors), then at half the speed and with one joint at a time. A residual that "
             "depends on position is a spring, a stop or a ripple. One that depends on the "
             "direction is friction, and one that grows with time is heat or drift."
@@ -306,6 +309,11 @@ class RobotSystem(System):
         """Position and speed of a joint have their causes together."""
         joints = [self.robot.joints.index(name.split(".")[-1]) for name in self.comparison.names]
         return (np.unique(joints, return_inverse=True)[1].astype(np.int64),)
+
+    def trial_labels(self, parts: Sequence[int]) -> tuple[TrialLabel, ...]:
+        """Those of the recording's files, in the order of its rows."""
+        labels = self.comparison.trial_labels
+        return tuple(dict.fromkeys(labels[part] for part in parts))
 
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
@@ -587,7 +595,8 @@ def write_prediction(path: Path, system: RobotSystem) -> None:
     """
     compared = system.comparison
     predicted = system.nominal
-    columns = {"time_s": compared.time_s, "trial": compared.trial}
+    labels = [compared.trial_labels[number] for number in compared.trial]
+    columns: dict[str, Any] = {"time_s": compared.time_s, "trial": labels}
     for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
         columns[column] = compared.readings[:, c]
         columns[f"predicted.{name}"] = predicted[:, c]
