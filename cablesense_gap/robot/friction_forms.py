@@ -47,6 +47,22 @@ _BENDS = (1.0, 10.0)
 linear."""
 
 
+PART_OF: Mapping[str, str | None] = {
+    "torque_n_m": "dry",
+    "torque_s_n_m": "viscous",
+    "share": "load",
+    PRESLIDING: "presliding",
+    STRIBECK: "Stribeck",
+    STRIBECK_SPEED: None,
+    LOPSIDED: "by direction",
+    SIDE: None,
+}
+"""The part of a law that each number of `FRICTION` adds: None for the shape of another's part.
+
+Laws are compared by their parts, so a number that has none stated is an error.
+"""
+
+
 @dataclass(frozen=True)
 class Law:
     """A law of friction: its parts, and the numbers that it has of each effect."""
@@ -57,17 +73,13 @@ class Law:
 
 
 def _law(name: str, **numbers: tuple[str, ...]) -> Law:
-    """A law by the numbers that it has of each effect; the parts follow."""
-    part_of = {
-        "torque_n_m": "dry",
-        "torque_s_n_m": "viscous",
-        "share": "load",
-        PRESLIDING: "presliding",
-        STRIBECK: "Stribeck",
-        LOPSIDED: "by direction",
-    }
-    named = [part_of[n] for group in numbers.values() for n in group if n in part_of]
-    return Law(name, frozenset(named), numbers)
+    """A law by the numbers that it has of each effect; the parts follow.
+
+    Raises:
+        KeyError: `PART_OF` lacks a number.
+    """
+    parts = {PART_OF[number] for group in numbers.values() for number in group}
+    return Law(name, frozenset(part for part in parts if part is not None), numbers)
 
 
 _TORQUE = ("torque_n_m",)
@@ -87,7 +99,7 @@ LAWS = (
     _law("by the load, with presliding", load_friction=(*_LOSS, PRESLIDING)),
     _law("by the load, with Stribeck", load_friction=(*_LOSS, PRESLIDING, *_FALL)),
 )
-"""Those without viscous friction; each but the viscous ones may have that in addition."""
+"""All that are compared; each but the viscous ones may have viscous friction in addition."""
 
 
 def with_imitators(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
