@@ -52,7 +52,7 @@ class ArmSimulator:
         self.candidates = tuple(_candidate(e, *sizes) for e in effects if not e.tolerance)
         self.tolerances = tolerance_candidates(arm)
         self._listed = entries_of(arm)
-        self._replay = Replay(arm, *recording.inputs)
+        self._replay = Replay(arm, recording.course)
         self._nominal_n: Array | None = None
         self._shape = recording.tensions_n.shape
 
@@ -115,7 +115,7 @@ def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
         EquilibriumError: a history-dependent arm has no equilibrium in some row.
     """
     entries = entries_of(arm)
-    replay = Replay(arm, *recording.inputs)
+    replay = Replay(arm, recording.course)
     if transmissions([entries]):
         return np.ones(len(recording), dtype=bool)
     predicted = replay.readings_n([entries], np.full(recording.tensions_n.shape, np.nan))[0]
@@ -135,7 +135,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     there. A row whose load nearly turns a segment does not count: there manufacturing tolerances
     change the readings far more than elsewhere, and not in proportion.
     """
-    replay = Replay(arm, *recording.inputs)
+    replay = Replay(arm, recording.course)
     (direct_n,) = replay.readings_n([[]], predicted_n)
     equilibrium_rad = replay.equilibrium_rad
     others: list[Array] = []

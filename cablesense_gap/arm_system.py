@@ -347,7 +347,7 @@ def _checked_system(
         supported = supported_rows(arm, used)
         if supported.all() or supported.mean() < _LEAST_SUPPORTED:
             # raises with a row that has no equilibrium
-            replay_arm(arm, *used.inputs)
+            replay_arm(arm, used.course)
         unsupported[rows[~supported]] = True
         rows = rows[supported]
         system = ArmSystem(arm, recording.rows(rows), unseen)
@@ -372,7 +372,7 @@ def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.i
     moves. Those `unseen` are dealt separately.
     """
     kinds: dict[tuple[bool, int, float, bool], list[int]] = {}
-    places_m = recording.inputs[3]
+    places_m = recording.course.places_m
     at_m = np.zeros(len(recording)) if places_m is None else np.nan_to_num(places_m).max(axis=1)
     for t, number in enumerate(np.unique(recording.trial)):
         rows = recording.trial == number

@@ -157,7 +157,7 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     load_names = [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
     load = dict(zip(load_names, loads_n.T, strict=True))
     load["size of the load"] = np.linalg.norm(forces_n, axis=-1).sum(-1)
-    places_m = recording.inputs[3]
+    places_m = recording.course.places_m
     if places_m is not None:
         beyond_m = np.nan_to_num(places_m - mechanism_of(arm).contact_m, nan=0.0)
         moments = (beyond_m[..., None] * forces_n).reshape(len(recording), -1)

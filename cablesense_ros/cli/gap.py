@@ -341,7 +341,7 @@ def _predicted_arm(
         )
     with console.status("predicting"):
         described = settled(described, recorded, settle)
-        tensions_n = replay_arm(described, *recorded.inputs)
+        tensions_n = replay_arm(described, recorded.course)
     write_csv(out, replace(recorded, tensions_n=tensions_n))
     counted = counted_rows(described, recorded, tensions_n)
     counted[:settle] = False
