@@ -149,7 +149,16 @@ def _recording(
 ) -> Recording:
     if trial is None:
         trial = derive_trials(time_s, command_rad, segment, load_n, place_m)
-    return Recording(name, time_s, trial, command_rad, segment, load_n, tensions_n, place_m)
+    return Recording(
+        name=name,
+        time_s=time_s,
+        trial=trial,
+        command_rad=command_rad,
+        load_segment=segment,
+        load_n=load_n,
+        tensions_n=tensions_n,
+        load_at_m=place_m,
+    )
 
 
 def _numbers(

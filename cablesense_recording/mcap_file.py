@@ -132,7 +132,17 @@ class BagRows:
             trials = derive_trials(time_s, command, segments, load_n, at_m)
         name = plain_name(path.stem)
         notes = (odd,) if odd else ()
-        return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m, notes)
+        return Recording(
+            name=name,
+            time_s=time_s,
+            trial=trials,
+            command_rad=command,
+            load_segment=segments,
+            load_n=load_n,
+            tensions_n=tensions_n,
+            load_at_m=at_m,
+            notes=notes,
+        )
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:
