@@ -86,7 +86,8 @@ _TORQUE = ("torque_n_m",)
 _FALL = (STRIBECK, STRIBECK_SPEED)
 _LOSS = ("share", SIDE)
 _ALWAYS = {DRY: (PRESLIDING,), BY_LOAD: (PRESLIDING,)}
-"""Numbers that an effect has in every law."""
+"""Numbers that an effect has in every law, where the comparison has them: forward in time dry
+friction is MuJoCo's, which gives no way."""
 _PLAIN = {"viscous_friction": ("torque_s_n_m",)}
 LAWS = (
     _law("Coulomb", joint_friction=_TORQUE),
@@ -325,7 +326,8 @@ def _start_of(
     """Numbers of a law at a joint: as they were found, else typical ones."""
     values = {}
     for effect, names in law.numbers.items():
-        for name in dict.fromkeys((*names, *_ALWAYS.get(effect, ()))):
+        always = [n for n in _ALWAYS.get(effect, ()) if (effect, joint, n) in problem.parameters]
+        for name in dict.fromkeys((*names, *always)):
             term = Term(effect, joint, name)
             parameter = problem.parameters[term]
             usual = parameter.typical if parameter.role == "size" else parameter.default
