@@ -30,11 +30,12 @@ from cablesense_gap.diagnosis.extent import (
 )
 from cablesense_gap.diagnosis.nuisance import final_refinement
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    NONE_ALONE,
+    UNKNOWN_ALONE,
+    Fits,
     ProbabilityCalibration,
     Ranked,
     in_order,
-    log_weight_beside_unlisted,
     log_weights_alone,
     log_weights_beside_unlisted,
     named,
@@ -117,7 +118,7 @@ class _Explanation(NamedTuple):
     @property
     def name(self) -> tuple[str, ...]:
         """That of its set in verdicts."""
-        return self.fitted.effects or (("none",) if self.extent is None else UNKNOWN)
+        return self.fitted.effects or (NONE_ALONE if self.extent is None else UNKNOWN_ALONE)
 
 
 def explanations(
@@ -172,7 +173,12 @@ def _everywhere(
     extent = Extent.whole(problem)
     unlisted_rmse = np.array([h.held_out_rmse for h in hypotheses])
     weights = log_weights_beside_unlisted(
-        hypotheses, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+        Fits.of(hypotheses),
+        unlisted_rmse,
+        extent.share,
+        extent.log_choices,
+        problem.floor,
+        calibration,
     )
     return [
         _Explanation(float(weight), h, h, extent, problem)
@@ -198,7 +204,12 @@ def _in_extents(
         acts = extent.readings(problem)
         unlisted_rmse = np.array([_rms((problem.readings - h.held_out)[acts]) for h in whole])
         weights = log_weights_beside_unlisted(
-            fitted, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+            Fits.of(fitted),
+            unlisted_rmse,
+            extent.share,
+            extent.log_choices,
+            problem.floor,
+            calibration,
         )
         weighed.extend(
             _Explanation(float(weight), one, over_all, extent, others)
@@ -211,25 +222,20 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
     """The largest weight of an explanation in an extent, linear, as if it left all there."""
     extent = screened.extent
     nominal_left = _rms((problem.readings - problem.nominal)[extent.readings(problem)])
-
-    def weight(outside_rmse: float, effects: int, sizes: int) -> float:
-        return log_weight_beside_unlisted(
-            outside_rmse,
-            nominal_left,
-            extent.share,
-            effects,
-            sizes,
-            extent.log_choices,
-            problem.floor,
-            calibration,
-        )
-
-    nothing_listed = weight(screened.without_effects.held_out_rmse, 0, 0)
-    listed = [
-        weight(float(np.hypot(p.forecast, problem.floor)), len(p.effects), len(p.coefficients))
-        for p in screened.proposals[:_PROPOSED]
-    ]
-    return max([nothing_listed, *listed])
+    proposals = screened.proposals[:_PROPOSED]
+    listed_rmse = [float(np.hypot(p.forecast, problem.floor)) for p in proposals]
+    fits = Fits(
+        held_out_rmse=np.array([screened.without_effects.held_out_rmse, *listed_rmse]),
+        effects=np.array([0, *(len(p.effects) for p in proposals)]),
+        sizes=np.array([0, *(len(p.coefficients) for p in proposals)]),
+        nuisance_chi2=np.zeros(1 + len(proposals)),
+        nuisance_count=1,
+    )
+    unlisted_rmse = np.full(1 + len(proposals), nominal_left)
+    weights = log_weights_beside_unlisted(
+        fits, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+    )
+    return float(weights.max())
 
 
 def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
@@ -240,7 +246,7 @@ def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
         total[each.name] = total.get(each.name, 0.0) + probability
     ranked = []
     for name, probability in total.items():
-        if name == UNKNOWN:
+        if name == UNKNOWN_ALONE:
             ranked.append(Ranked(name, probability, None))
         else:
             best = _likeliest(weighed, name)

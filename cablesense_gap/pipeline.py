@@ -19,7 +19,7 @@ from cablesense_gap.coverage import Coverage
 from cablesense_gap.diagnosis.duration import expected_s
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    UNKNOWN_ALONE,
     ProbabilityCalibration,
     Ranked,
     ambiguity,
@@ -382,7 +382,7 @@ def _of_unlisted(system: System, weighing: _Weighing, account: _Account) -> _Acc
 
 def _changed_where_covered(likeliest: Ranked) -> tuple[str, ...]:
     """What is still to be said where a reference leaves open if something changed."""
-    if likeliest.effects != UNKNOWN:
+    if likeliest.effects != UNKNOWN_ALONE:
         return ()
     return (
         "Where the reference covers the recording, something changed that no listed effect "

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError, some_of
 from cablesense_gap.diagnosis.linear_fit import products, weight
-from cablesense_gap.diagnosis.probability import NEAR_BEST, bundled_calibration, log_weights
+from cablesense_gap.diagnosis.probability import NEAR_BEST, Fits, bundled_calibration, log_weights
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.diagnosis.selection import LinearEffect, linear_effects
 from cablesense_gap.robot.inverse import Servos
@@ -374,15 +374,14 @@ class _Compared:
             rest = rival[0]
             rival_sizes = self._size_count(rival[1])
         residuals = floor * np.hypot(1.0, [alone.floors, 0.0, rest.floors])
-        weights = log_weights(
-            residuals,
-            np.array([0, 1, 1]),
-            np.array([0, self._size_count(k), rival_sizes]),
-            np.array([alone.chi2, 0.0, rest.chi2]),
-            max(len(self._nuisance), 1),
-            floor,
-            bundled_calibration(),
+        fits = Fits(
+            held_out_rmse=residuals,
+            effects=np.array([0, 1, 1]),
+            sizes=np.array([0, self._size_count(k), rival_sizes]),
+            nuisance_chi2=np.array([alone.chi2, 0.0, rest.chi2]),
+            nuisance_count=len(self._nuisance),
         )
+        weights = log_weights(fits, floor, bundled_calibration())
         against = weights[0] if rival is None else weights[2]
         return float(1.0 / (1.0 + np.exp(np.clip(weights[1] - against, -_MOST_ODDS, _MOST_ODDS))))
 
