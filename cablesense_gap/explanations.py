@@ -44,7 +44,7 @@ from cablesense_gap.diagnosis.probability import (
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import is_redundant
-from cablesense_gap.explained import removes
+from cablesense_gap.explained import Changes, removes
 from cablesense_gap.system import System
 
 _EXTENTS = 2
@@ -91,11 +91,13 @@ class Explanations:
         ranked: the one that the verdict names first; its hypothesis is of all readings.
         unlisted: the probability that something unlisted acts, alone or beside effects.
         beside: what acts beside the named effects; None if they are likelier alone.
+        changes: by the effects of the first, where they are fitted.
     """
 
     ranked: tuple[Ranked, ...]
     unlisted: float
     beside: Beside | None
+    changes: Changes
 
 
 class _Explanation(NamedTuple):
@@ -143,8 +145,9 @@ def explanations(
     while True:
         ranked = named(problem, _merged(weighed, problem.floor), calibration)
         best = _likeliest(weighed, ranked[0].effects)
-        if not best.fitted.effects or removes(best.problem, best.fitted):
-            return _answer(weighed, ranked, best)
+        changes = Changes(best.problem, best.fitted)
+        if not best.fitted.effects or removes(changes):
+            return _answer(weighed, ranked, best, changes)
         # one that removes nothing is no explanation: the others share its probability
         weighed = [each for each in weighed if each is not best]
 
@@ -267,7 +270,7 @@ def _probabilities(weighed: Sequence[_Explanation]) -> list[float]:
 
 
 def _answer(
-    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation
+    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation, changes: Changes
 ) -> Explanations:
     pairs = zip(weighed, _probabilities(weighed), strict=True)
     unlisted = sum(probability for each, probability in pairs if each.extent is not None)
@@ -282,7 +285,7 @@ def _answer(
         ]
         others = sorted(fitted_there[1:], key=lambda each: -each.probability)
         beside = Beside(best.extent, best.problem, (fitted_there[0], *others))
-    return Explanations(tuple(ranked), unlisted, beside)
+    return Explanations(tuple(ranked), unlisted, beside, changes)
 
 
 def _hypotheses(

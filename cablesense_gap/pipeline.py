@@ -30,6 +30,7 @@ from cablesense_gap.diagnosis.probability import (
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import (
+    Changes,
     Remainder,
     Trade,
     candidate_results,
@@ -117,6 +118,7 @@ class _Naming:
         problem: the readings in which nothing unlisted acts.
         ranked_there: the hypotheses that were fitted to these, the named one first.
         whole: the named hypothesis for all readings, that of tolerances alone where none is named.
+        changes: by its effects, as it is fitted in `problem`.
         values: of `whole` in the places that matter.
     """
 
@@ -126,6 +128,7 @@ class _Naming:
     problem: Problem
     ranked_there: list[Ranked]
     whole: Hypothesis
+    changes: Changes
     values: dict[Term, float]
 
     @property
@@ -274,14 +277,20 @@ def _naming(system: System, weighing: _Weighing) -> _Naming:
         insufficient = coverage
         ranked = sorted(ranked, key=lambda each: each.effects != (NONE,))
         beside = None
+    problem = weighing.problem if beside is None else beside.problem
+    ranked_there = ranked if beside is None else list(beside.ranked)
     whole = ranked[0].hypothesis or _without_effects(weighing.hypotheses)
+    changes = weighing.explanations.changes
+    if changes.hypothesis is not ranked_there[0].hypothesis:
+        changes = Changes(problem, whole)
     return _Naming(
         ranked=ranked,
         insufficient=insufficient,
         beside=beside,
-        problem=weighing.problem if beside is None else beside.problem,
-        ranked_there=ranked if beside is None else list(beside.ranked),
+        problem=problem,
+        ranked_there=ranked_there,
         whole=whole,
+        changes=changes,
         values=significant_values(whole, system.candidates),
     )
 
@@ -310,13 +319,12 @@ def _without_effects(hypotheses: Sequence[Hypothesis]) -> Hypothesis:
 
 def _account(system: System, weighing: _Weighing, naming: _Naming) -> _Account:
     """What a person reads about the named explanation, and what to record next."""
-    fitted = naming.fitted
     group, reasons = ambiguity(naming.problem, naming.ranked_there, system.unit)
     account = _Account(
         group=group,
         reasons=reasons,
         experiment="",
-        traded=trades(naming.problem, fitted) if fitted else [],
+        traded=trades(naming.changes),
         remainder=remainder(weighing.problem, naming.whole),
         held_out=naming.whole.held_out,
     )
@@ -406,14 +414,15 @@ def _comparison(
     rows = naming.problem.used
     deviations = _rms((expected.floor / expected.weight)[rows])
     gaps = system.channels(residual[rows], residual_after[rows], deviations)
+    changes = naming.changes
+    if naming.beside is not None:
+        changes = Changes(weighing.problem, naming.whole)
     return _Comparison(
         nominal=nominal,
         held_out=held_out,
         residual=residual,
         gap=_gap_of(naming.problem, held_out_there, fitted),
-        channels=judged_channels(
-            replace(weighing.problem, used=rows), naming.whole, gaps, weighing.calibration
-        ),
+        channels=judged_channels(changes, rows, gaps, weighing.calibration),
     )
 
 
@@ -447,7 +456,7 @@ def _verdict(
         next_experiment=account.experiment,
         where=system.where(values, comparison.residual[problem.used]),
         parameters=numbers,
-        shares=shares(naming.problem, naming.stated, values),
+        shares=shares(naming.changes, naming.stated, values),
         traded=tuple(trade.traded for trade in account.traded),
         forms=system.forms(problem, named) if named else {},
         tolerances_n=account.remainder.tolerances,

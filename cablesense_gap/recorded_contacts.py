@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -21,9 +20,6 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine, alike, still
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
-from cablesense_contact.inference.law_model import LawModel
-from cablesense_contact.inference.metadata import ANYWHERE
-from cablesense_contact.inference.model_file import read_model
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
@@ -62,17 +58,6 @@ class ArmLaw(Law, Protocol):
 
 KnownLaw: TypeAlias = ArmLaw | MachineLaw
 """The law of an arm, or of a machine that MuJoCo describes."""
-
-
-def open_estimator(path: str | Path, arm: Arm | None = None) -> LawModel | Estimator:
-    """Open a model of single contacts, for a certain arm where one is given.
-
-    Raises:
-        ModelFileError: the file is no such model, or not one of this arm.
-    """
-    if read_model(path)[1].kind == ANYWHERE:
-        return LawModel(path, arm)
-    return Estimator.load(path, arm)
 
 
 def arm_of(estimator: ArmLaw | Estimator) -> Arm:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, unit_of
-from cablesense_gap.explained import removes
+from cablesense_gap.explained import Changes, removes
 from cablesense_gap.robot.effects.mechanics import AddedMass
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_gap.verdict import FittedNumber
@@ -65,7 +65,7 @@ def borne(
     best = min(fitted, key=problem.score)
     less = best.held_out_rmse < _LEFT * without_effects.held_out_rmse
     clear = best.is_clearly_better_than(without_effects)
-    return best if less and clear and removes(problem, best) else None
+    return best if less and clear and removes(Changes(problem, best)) else None
 
 
 def with_places(

@@ -390,8 +390,8 @@ def adapt(
     """
     from cablesense_contact.calibration_file import write_calibration
     from cablesense_contact.inference.metadata import find_model
+    from cablesense_contact.inference.single_contact import open_estimator
     from cablesense_gap.adaptation import adapt as make
-    from cablesense_gap.recorded_contacts import open_estimator
     from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
