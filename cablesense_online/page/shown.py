@@ -20,6 +20,9 @@ from cablesense_msgs_py.messages import Load
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.page.snapshot import PlaceInterval, Rgb, Words
 
+STEP_DEG = 0.5
+"""Of the sliders of angles."""
+
 
 @dataclass(frozen=True)
 class Sphere:
