@@ -22,7 +22,7 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
-_FOLLOWED = 16
+_FOLLOWED_ROWS = 16
 """Rows over which an equilibrium is followed: one that a load turned to may last so long."""
 _SIMILAR_ARMS = 16
 """Arms with other tolerances, by whose scatter rows are judged: enough for a scatter to a
@@ -30,10 +30,10 @@ fifth."""
 _MOST_SCATTER = 5.0
 """By how many times their readings may scatter more in a row that counts than in the middle one:
 on arms drawn at random 3 to 4 times where nothing turns."""
-_PRIOR = 0.05
+_DEFAULT_WEIGHT = 0.05
 """Weight of the default state against residuals in units of the floor: first rows that do not
 show a state leave it at its default."""
-_EVALUATIONS = 12
+_MOST_EVALUATIONS = 12
 """Of the residuals, in the fit of states: these act nearly linearly on the first rows."""
 
 
@@ -146,7 +146,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     for step in (1, -1):
         follower = replay.begun_at(equilibrium_rad)
         followed_n = direct_n
-        for _ in range(_FOLLOWED):
+        for _ in range(_FOLLOWED_ROWS):
             before_n = followed_n
             begin_rad = np.roll(follower.equilibrium_rad, step, axis=0)
             follower = follower.begun_at(begin_rad)
@@ -194,11 +194,16 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
         simulator = ArmSimulator(_with_states(arm, states, scaled * typical), first)
         residual = (first.tensions_n - simulator.predict([{}])[0]) / simulator.floor
         return np.concatenate(
-            [np.nan_to_num(residual, nan=1e3).ravel(), _PRIOR * (scaled - start)]
+            [np.nan_to_num(residual, nan=1e3).ravel(), _DEFAULT_WEIGHT * (scaled - start)]
         )
 
     optimum = least_squares(
-        residuals, start, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_EVALUATIONS
+        residuals,
+        start,
+        bounds=(low, high),
+        x_scale=1.0,
+        diff_step=0.02,
+        max_nfev=_MOST_EVALUATIONS,
     )
     return _with_states(arm, states, optimum.x * typical)
 

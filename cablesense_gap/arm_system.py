@@ -47,7 +47,7 @@ from cablesense_sim.replay import reading_variance_n2, replay_arm
 _LEAST_SUPPORTED = 0.9
 """Share of the rows in which the nominal arm must have an equilibrium; the others are left out.
 Real arms bear loads near the nominal arm's limit. Loads in a wrong unit fail in most rows."""
-_PLAY = 0.03
+_PLAY_SHARE = 0.03
 """Share of a cable's way after which it slides the other way, as seen by the reference."""
 _SUBSAMPLE_SHARE = 0.7
 """A subsample with more than this share of the rows saves too little time."""
@@ -91,7 +91,7 @@ class ArmSystem(ArmSimulator, System):
         mechanism = mechanism_of(self.arm)
         held_m = held_lengths_m(mechanism, self.recording.command_rad)
         stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
-        way = in_play(held_m - stretched_m, _PLAY)
+        way = in_play(held_m - stretched_m, _PLAY_SHARE)
         return Conditions(held_m, way, self.nominal_n, np.zeros_like(held_m))
 
     def condition_units(self) -> list[ConditionUnits]:

@@ -47,13 +47,13 @@ from cablesense_gap.diagnosis.search import is_redundant
 from cablesense_gap.explained import Changes, removes
 from cablesense_gap.system import System
 
-_EXTENTS = 2
+_MOST_EXTENTS = 2
 """Extents outside which effects are fitted, those with the best linear forecasts."""
-_PROPOSED = 6
+_MOST_PROPOSALS = 6
 """Additions that are fitted outside an extent: as many as a search starts from."""
-_KNOWN = 3
+_MOST_KNOWN = 3
 """Hypotheses of all readings that are fitted there again."""
-_STEPS = 3
+_REFIT_STEPS = 3
 """Gauss-Newton steps of these, which are near their best values already."""
 
 
@@ -199,7 +199,7 @@ def _in_extents(
     screened = screened_extents(problem, system.channel_groupings())
     promising = sorted(screened, key=lambda each: -_forecast(problem, each, calibration))
     weighed: list[_Explanation] = []
-    for each in promising[:_EXTENTS]:
+    for each in promising[:_MOST_EXTENTS]:
         extent = each.extent
         others = without_extent(problem, extent)
         fitted = system.completed(others, _hypotheses(others, each, hypotheses))
@@ -225,7 +225,7 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
     """The largest weight of an explanation in an extent, linear, as if it left all there."""
     extent = screened.extent
     nominal_left = _rms((problem.readings - problem.nominal)[extent.readings(problem)])
-    proposals = screened.proposals[:_PROPOSED]
+    proposals = screened.proposals[:_MOST_PROPOSALS]
     listed_rmse = [float(np.hypot(p.forecast, problem.floor)) for p in proposals]
     fits = Fits(
         held_out_rmse=np.array([screened.without_effects.held_out_rmse, *listed_rmse]),
@@ -305,15 +305,17 @@ def _hypotheses(
             if each.effects not in best or problem.score(each) < problem.score(best[each.effects]):
                 best[each.effects] = each
 
-    keep(chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_PROPOSED]))
+    keep(
+        chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_MOST_PROPOSALS])
+    )
     kept = ~screened.extent.channels
     mean_square = {
         k: float(((problem.readings - h.held_out[:, kept])[problem.used] ** 2).mean())
         for k, h in enumerate(known)
         if h.effects and h.effects not in best
     }
-    for k in sorted(mean_square, key=lambda k: mean_square[k])[:_KNOWN]:
-        keep([fitting.refit(problem, known[k].values, _STEPS)])
+    for k in sorted(mean_square, key=lambda k: mean_square[k])[:_MOST_KNOWN]:
+        keep([fitting.refit(problem, known[k].values, _REFIT_STEPS)])
     if best:
         first = min(best.values(), key=problem.score)
         keep([final_refinement(problem, first)[0]])

@@ -33,7 +33,7 @@ MOST_STEPS = 8
 
 _DERIVATIVE_STEP = 0.03
 """Scaled, for derivatives: far above the rounding of the simulator, small enough to be linear."""
-_NEAR = 0.25
+_NEAR_DISTANCE = 0.25
 """Scaled distance to where derivatives still serve."""
 _CONVERGED_STEP = 5e-3
 """Scaled step that is too small to continue: a two hundredth of a typical size."""
@@ -146,7 +146,7 @@ class _Fit:
             tried = np.clip(point + step, self._low, self._high)
             if np.abs(tried - point).max(initial=0.0) < _CONVERGED_STEP:
                 break
-            far = bool(np.abs(tried - linear_at).max() > _NEAR)
+            far = bool(np.abs(tried - linear_at).max() > _NEAR_DISTANCE)
             linear_model = self._linear(tried, columns) if far and self._slow else None
             ahead = self._predicted(tried) if linear_model is None else linear_model[0]
             before = self._cost(point, predicted, mean_square)

@@ -37,9 +37,9 @@ _OF_COMPARISON = 0.5
 comes and goes averages out."""
 _MOST_STEPS = 8_000
 """In all windows together; a longer recording has gaps between its windows."""
-_FEWEST = 15
+_FEWEST_WINDOWS = 15
 """Windows that a recording has at least."""
-_KEPT = 30
+_KEPT_WINDOWS = 30
 """Windows that remain of many, however many steps they take."""
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -271,12 +271,12 @@ def _windows(
         numbers.append(np.full(len(trial_begins), number))
         first += len(path)
     count = sum(len(rows) for rows in begins)
-    stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
+    stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT_WINDOWS)
     begin, trial = (np.concatenate(each)[:: max(stride, 1)] for each in (begins, numbers))
-    if len(begin) < _FEWEST:
+    if len(begin) < _FEWEST_WINDOWS:
         raise RecordingError(
             f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
-            f"trials of several seconds, for {_FEWEST} at least"
+            f"trials of several seconds, for {_FEWEST_WINDOWS} at least"
         )
     return begin, trial
 

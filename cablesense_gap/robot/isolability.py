@@ -48,7 +48,7 @@ _CAMERA_M = 1e-4
 """Standard deviation of one position of an encoder, and of a camera."""
 _PATH_HZ = 10.0
 """Bandwidth of the planned motion: where blocks begin it has steps of speed."""
-_PLAIN = 3.0
+_PLAIN_TIMES = 3.0
 """Times the size from which an effect is named, at which it is compared with others."""
 _SIZES = np.geomspace(0.02, 300.0, 40)
 """In typical ones, that are tried."""
@@ -60,9 +60,9 @@ _WEIGHTINGS = 3
 """Solutions of one fit, each at the weight of what the last one left."""
 _MOST_BLOCKS = 3
 """Blocks that are proposed for a question."""
-_REPEATED = 5.0
+_REPETITIONS = 5.0
 """How often each of these is recorded: trials are held out in five folds."""
-_WORTH = 1.1
+_WORTH_FACTOR = 1.1
 """Factor by which a block must raise the least difference to be proposed."""
 
 
@@ -246,7 +246,7 @@ def isolability(system: RobotSystem, sizes: Mapping[Site, float] | None = None) 
     for row, k in enumerate(judged):
         most = first[row].high / first[row].typical
         least = compared.least_named(k, most)
-        size = min(_PLAIN * least, most) if sizes is None else sizes[sites[row]]
+        size = min(_PLAIN_TIMES * least, most) if sizes is None else sizes[sites[row]]
         alone = compared.left(k, None, size)
         named_from[row] = least * first[row].typical
         shown[row] = alone.floors
@@ -418,10 +418,10 @@ def blocks_that_part(
     chosen: list[RobotBlock] = []
     difference = -1.0
     while len(chosen) < _MOST_BLOCKS:
-        added = times + _REPEATED * np.eye(len(times))
+        added = times + _REPETITIONS * np.eye(len(times))
         differences = [_least_difference(_Compared(columns, each), pair) for each in added]
         best = int(np.argmax(differences))
-        if differences[best] < _WORTH * difference:
+        if differences[best] < _WORTH_FACTOR * difference:
             break
         difference = differences[best]
         times = added[best]

@@ -19,7 +19,7 @@ from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_gap.verdict import FittedNumber
 
 PAYLOAD = AddedMass.name
-_LEFT = 0.5**0.5
+_LEFT_SHARE = 0.5**0.5
 """Share of what is left without it that a load of the healthy robot leaves at most: it explains
 most of the mean square. Imperfect models without a load are explained less."""
 _TAKEN_OFF = 1.1
@@ -63,7 +63,7 @@ def borne(
     if not fitted:
         return None
     best = min(fitted, key=problem.score)
-    less = best.held_out_rmse < _LEFT * without_effects.held_out_rmse
+    less = best.held_out_rmse < _LEFT_SHARE * without_effects.held_out_rmse
     clear = best.is_clearly_better_than(without_effects)
     return best if less and clear and removes(Changes(problem, best)) else None
 

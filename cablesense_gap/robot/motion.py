@@ -126,7 +126,7 @@ class Stribeck(NamedTuple):
         return np.asarray(1.0 + self.share * np.exp(-((speed / self.speed) ** 2)))
 
 
-_PLAIN = Stribeck()
+_NO_STRIBECK = Stribeck()
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Trajectory:
     load: Array
     command: Array
 
-    def slid(self, joint: int, presliding: float, stribeck: Stribeck = _PLAIN) -> Array:
+    def slid(self, joint: int, presliding: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
         """(R,) share of its dry friction that acts on a joint: after Dahl, -1 to 1, and LuGre.
 
         A joint that turns round gives elastically over about `presliding`, in the position's
@@ -161,7 +161,7 @@ class Trajectory:
         unit_motion[:, joint] = 1.0
         return self.slid_along(unit_motion, presliding, stribeck)
 
-    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
         """(R,) the same along a way that grows by (R, J) of each joint's motion."""
         way_speed = (self.speed * by_joint).sum(1)
         parts = (self._by_trial(each) for each in (self.position, by_joint, way_speed))
@@ -264,7 +264,7 @@ class Motion(Trajectory):
         first = np.cumsum([0, *map(len, self.paths)])
         return np.concatenate([a + rows for a, rows in zip(first, self.inner, strict=False)])
 
-    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
         shares = []
         for path, rows, trial_joints in zip(

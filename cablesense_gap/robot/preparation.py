@@ -42,14 +42,14 @@ MOST_ROWS = 5000
 _LEAST_HZ = 1.0
 _MOST_HZ = 20.0
 """Arms and their controllers are slower than this; faster ones state a bandwidth."""
-_SAMPLES = 8.0
+_SAMPLES_A_PERIOD = 8.0
 """Least number in a period at the bandwidth: derivatives are then good to 1 %."""
 _ROWS_A_PERIOD = 3.0
-_LIGHTER = 4.0
+_LIGHTER_TIMES = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
 _POWER_SHARE = 0.95
 _MOTION_SHARE = 0.9
-_HARMONICS = 2.0
+_HARMONICS_TIMES = 2.0
 """Shares of the power of torques and of speeds; friction has harmonics of the motion."""
 _SLOW_SHARE = 0.02
 """Share of a joint's usual speed below which it stands still, as friction sees it."""
@@ -57,12 +57,12 @@ _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
 _FEWEST_ROWS = 30
-_WIDER = 1.2
+_WIDER_TIMES = 1.2
 """Times the bandwidth that is tried next, where too few rows are left of a short recording."""
 _FEWEST_SAMPLES = 16
 _GLITCH_SAMPLES = 5
 _GLITCH_DEVIATIONS = 6.0
-_SHARES = 40
+_PERIODS_A_SPECTRUM = 40
 _SPECTRUM_S = 10.0
 
 
@@ -122,7 +122,7 @@ def _as_wide_as_needed(
         except _FewRowsError as few:
             if bandwidth_hz is not None or few.at_widest:
                 raise
-            least_hz = _WIDER * few.compared_hz
+            least_hz = _WIDER_TIMES * few.compared_hz
 
 
 class _FewRowsError(RecordingError):
@@ -151,7 +151,7 @@ def _prepared(
     """
     trials, interval_s = _evenly_sampled(recording)
     rate_hz = 1.0 / interval_s
-    most_hz = min(_MOST_HZ, rate_hz / _SAMPLES)
+    most_hz = min(_MOST_HZ, rate_hz / _SAMPLES_A_PERIOD)
     by_command = external or not np.isfinite(recording.torque).any()
     if by_command:
         _check_commands(recording, robot)
@@ -169,7 +169,7 @@ def _prepared(
     noise = _noise(trials, rate_hz)
     inertia = _inertia(robot, recording.position)
     smoothed_hz = _smoothing_hz(
-        noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
+        noise, inertia, trials, compared_hz, min(_LIGHTER_TIMES * compared_hz, most_hz)
     )
     sample_count = sum(len(t.time_s) for t in trials)
     step = max(1, round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)), -(-sample_count // MOST_ROWS))
@@ -298,7 +298,7 @@ def _comparison_hz(trials: Sequence[Trial], rate_hz: float) -> float:
     """
     moved = np.median(_frequency_below([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
     torques = _frequency_below([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
-    return _HARMONICS * float(min(moved, torques.max()))
+    return _HARMONICS_TIMES * float(min(moved, torques.max()))
 
 
 def _frequency_below(
@@ -330,7 +330,7 @@ def _noise_density(
     Motion and its torques end below that frequency. The rest is noise; white noise has the same
     density below.
     """
-    count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
+    count = min(len(signal), max(64, int(_PERIODS_A_SPECTRUM * rate_hz / above_hz)))
     frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
     beyond = (frequency >= min(above_hz, 0.7 * frequency[-1])) & (frequency <= below_hz)
     return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))

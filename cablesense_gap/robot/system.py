@@ -49,23 +49,23 @@ from cablesense_recording.robot_recording import TrialLabel
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
-_JUDGED = 0.1
+_JUDGED_SHARE = 0.1
 """A channel is judged if at least this share of the model's torque is left beyond an offset and
 friction."""
-_FOLLOWS = 0.8
+_FOLLOWING_CORRELATION = 0.8
 """Least correlation of a channel with the model's for its unit to be judged."""
-_OTHER_UNIT = 5.0
+_OTHER_UNIT_RATIO = 5.0
 """Ratio of a channel and the model's from which on its unit is doubtful."""
-_NO_TORQUE = 0.01
+_NO_TORQUE_SHARE = 0.01
 """Share of the largest torque at a joint of the model below which a joint has none to compare."""
-_PROBED = 0.01
+_PROBED_ZERO = 0.01
 """Error of a zero by which its influence is found, rad or m."""
-_USUAL = 0.1
+_USUAL_ZERO = 0.1
 """Error of a zero that is usual in a trial, rad or m."""
 
-_FITS = 2.0
+_FITTING_FLOORS = 2.0
 """Floors that a hypothesis leaves at most at a joint where the model is exact."""
-_MODEL_ERROR = 0.1
+_MODEL_ERROR_SHARE = 0.1
 """Share of the torque that models of real machines leave: the middle of the usual 5 to 15 %."""
 
 _Zeros = tuple[NDArray[np.bool_], Array, Array]
@@ -186,12 +186,14 @@ class RobotSystem(System):
             change.zero[joint] += off
             return self.comparison.predicted(change) / self.comparison.noise
 
-        ends = [[read(k, off) for k in range(len(joints))] for off in (_PROBED, -_PROBED)]
-        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
+        ends = [
+            [read(k, off) for k in range(len(joints))] for off in (_PROBED_ZERO, -_PROBED_ZERO)
+        ]
+        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED_ZERO)
         zeros_by_trial: list[_Zeros] = []
         for rows in (trial == number for number in np.unique(trial)):
             trial_columns = by_zero[:, rows].reshape(len(joints), -1).T
-            known = trial_columns.T @ trial_columns + np.eye(len(joints)) / _USUAL**2
+            known = trial_columns.T @ trial_columns + np.eye(len(joints)) / _USUAL_ZERO**2
             zeros_by_trial.append(
                 (rows, trial_columns, np.asarray(np.linalg.solve(known, trial_columns.T)))
             )
@@ -254,9 +256,12 @@ class RobotSystem(System):
         """A tenth of the torque, if the best hypothesis is far from every joint's floor."""
         best = min(found, key=lambda each: each.held_out_rmse)
         residual_rms = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
-        if not isinstance(self.comparison, InverseComparison) or residual_rms.min() < _FITS:
+        if (
+            not isinstance(self.comparison, InverseComparison)
+            or residual_rms.min() < _FITTING_FLOORS
+        ):
             return None
-        return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
+        return np.asarray(_MODEL_ERROR_SHARE * np.sqrt((self.readings**2).mean(0)))
 
     def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """With richer forms of friction; far tolerances, implausible sizes and places count."""
@@ -352,7 +357,7 @@ class RobotSystem(System):
             )
             columns -= joint_nuisances @ np.linalg.lstsq(joint_nuisances, columns, rcond=None)[0]
             measured, modelled, acceleration = columns.T
-            is_judged = np.linalg.norm(modelled) > _JUDGED * np.linalg.norm(predicted[:, c])
+            is_judged = np.linalg.norm(modelled) > _JUDGED_SHARE * np.linalg.norm(predicted[:, c])
             if is_judged and is_reversed(measured, modelled, acceleration):
                 complaints.append(
                     f"{self.comparison.columns[c]} looks as if it had the other sign"
@@ -364,7 +369,7 @@ class RobotSystem(System):
         return [
             f"{column} is {ratio:.2g} times the model's value: check its unit."
             for column, ratio in self._ratios().items()
-            if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
+            if not 1.0 / _OTHER_UNIT_RATIO < ratio < _OTHER_UNIT_RATIO
         ]
 
     def _ratios(self) -> dict[str, float]:
@@ -378,8 +383,11 @@ class RobotSystem(System):
         units = np.array(self.comparison.units)
         largest = np.array([torque[units == unit].max() for unit in units])
         ratios = {}
-        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE * largest)):
-            if self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]:
+        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE_SHARE * largest)):
+            if (
+                self.readings[:, c] @ predicted[:, c]
+                > _FOLLOWING_CORRELATION * measured[c] * modelled[c]
+            ):
                 ratios[self.comparison.columns[c]] = float(measured[c] / modelled[c])
         return ratios
 
