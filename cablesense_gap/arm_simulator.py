@@ -40,7 +40,11 @@ _MOST_EVALUATIONS = 12
 class ArmSimulator:
     """A `Simulator` of an arm under the commands and loads of one recording.
 
-    Attributes: see `Simulator`, and `arm`, the nominal one.
+    Attributes:
+        arm: the nominal one.
+        candidates: effects to choose among.
+        tolerances: of the arm; each parameter's `typical` is its standard deviation.
+        floor: RMS of what the sensors add to a perfect reading, N.
     """
 
     def __init__(self, arm: Arm, recording: Recording) -> None:

@@ -99,7 +99,10 @@ class ArmSystem(ArmSimulator, System):
         return [ConditionUnits(name, "m", "", "N", "") for name in self.arm.cable_names]
 
     def past(self) -> Past | None:
-        """As returning commands and loads show it; None if the nominal arm depends on the past."""
+        """By how much readings differ where commands and loads return, and in which rows.
+
+        None where they return too seldom, and if the nominal arm depends on the past.
+        """
         if transmissions([entries_of(self.arm)]):
             return None
         if (returned := returns(self._counted_recording, self.floor)) is None:
@@ -272,7 +275,7 @@ def diagnose(
     still needed, with the numbers that this recording gives them.
 
     Args:
-        recording: see `read_recording`.
+        recording: of the arm, as `read_recording` gives it.
         arm: the nominal one.
         progress: receives the present step and the share of the whole that is done.
         workers: processes that share the search.

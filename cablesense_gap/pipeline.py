@@ -181,7 +181,8 @@ class _Comparison:
     """Readings as measured, as the nominal and as the amended machine predict them.
 
     Attributes:
-        nominal, held_out: (R, C) predicted, see `Outcome`.
+        nominal: (R, C) predicted by the nominal machine.
+        held_out: (R, C) by the amended one, or with the flexible correction.
         residual: (R, C) of the nominal machine.
         gap: over the readings in which nothing unlisted acts.
         channels: the same by channel, with what removes it.

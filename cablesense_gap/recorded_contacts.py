@@ -185,7 +185,10 @@ def loads_at_m(recording: Recording, arm: Arm) -> Array:
 
 
 def _places_m(recording: Recording, machine: FeltMachine) -> Array:
-    """(R,) where each load acts on its link, along its axis; see `loads_at_m` for an arm."""
+    """(R,) where each load acts on its link, along its axis; the machine file's place by default.
+
+    Of an arm, effects that move contact points move the loads.
+    """
     if isinstance(machine, FeltArm):
         return loads_at_m(recording, machine.arm)
     at_m = np.asarray(machine.contact_m)[np.maximum(recording.load_segment, 1) - 1]
@@ -351,7 +354,10 @@ class RecordedMachine:
         calibration: Calibration | None = None,
         trials: Collection[int] | None = None,
     ) -> None:
-        """See `recorded_errors` for the calibration; `trials` are those whose rows it may use."""
+        """Take the law, and a `calibration` of the machine.
+
+        Without one it is made from unloaded poses, those of the `trials` if given.
+        """
         self._recording = recording
         self._tares = tares
         self._law = law

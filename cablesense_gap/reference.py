@@ -264,7 +264,7 @@ class _Weighted:
         self.tolerances = simulator.tolerances
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """As of the simulator with the expected residual, times the weight (R, C)."""
+        """Channels (P, R, C) of P variants with the expected residual, times its weight (R, C)."""
         predicted = self._simulator.predict(variants)
         moving = self._expected.moving
         if moving is not None:
@@ -275,7 +275,7 @@ class _Weighted:
         return self._expected.weighted(predicted)
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
-        """As of the simulator with the expected residual, times the weight."""
+        """Changes (P, R, C) of these by small differences from a base."""
         if self._expected.moving is not None:
             return predicted_changes(self, base, variants)
         return self._expected.weighted(small_changes(self._simulator, base, variants))

@@ -88,7 +88,10 @@ def refit(
 def refit_part(
     problem: Problem, hypothesis: Hypothesis, values: Mapping[Term, float], most_steps: int
 ) -> Hypothesis | None:
-    """As `refit`, from some values of a hypothesis and its sensitivities to them."""
+    """Fit some values of a hypothesis again, from its sensitivities to them.
+
+    None if they cannot be simulated.
+    """
     kept_indices = [k for k, term in enumerate(hypothesis.values) if term in values]
     predicted = problem.predict([values])[0]
     return refit(problem, values, most_steps, (predicted, hypothesis.columns[kept_indices]))

@@ -47,7 +47,10 @@ _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class ForwardComparison(MotionComparison):
-    """Positions and speeds of all joints at the ends of windows, see `MotionComparison`."""
+    """Positions, then speeds, of all joints at the ends of Q windows: torques in, motion out.
+
+    Both are beyond those of coasting on from where a window begins.
+    """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """Take a robot and its motion as it was measured."""
@@ -144,7 +147,7 @@ class Rollouts:
         return position[rows], speed[rows]
 
     def _smoothed(self, drive: Array) -> Array:
-        """As the motion is: what drives make beyond that shows in none of its states."""
+        """What drives make (T, …), smoothed as the motion is: no state shows the rest."""
         return smoothed(drive, self._rate_hz, self._smoothed_hz)
 
     def predicted(self, change: Change) -> tuple[Array, Array]:

@@ -190,7 +190,7 @@ class InverseDynamics:
 
 
 class InverseComparison(MotionComparison):
-    """Torques of those joints that have one, see `MotionComparison`.
+    """Torques of the drives at rows, for the C joints that have one: motion in, torques out.
 
     Readings and predictions of a joint at rest are zero. Units are such that noise alone has a
     root mean square of one over all rows.
@@ -290,7 +290,7 @@ class Servos(NamedTuple):
 
 
 class ServoComparison(MotionComparison):
-    """Positions measured outside the drives less those commanded, see `MotionComparison`.
+    """Positions of all joints measured outside the drives less those commanded, at rows.
 
     A servo holds its own encoder at the command, except that it yields to the torque it bears. The
     zeros, scales, couplings and play between that encoder and the joint then show in a camera's

@@ -265,7 +265,10 @@ class Motion(Trajectory):
         return np.concatenate([a + rows for a, rows in zip(first, self.inner, strict=False)])
 
     def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
-        """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
+        """(R,) share of dry friction along a way that grows by (R, J) of each joint's motion.
+
+        Between rows a joint may turn round, so it goes the whole path.
+        """
         shares = []
         for path, rows, trial_joints in zip(
             self.paths, self.inner, self._by_trial(by_joint), strict=True

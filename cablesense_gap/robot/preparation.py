@@ -112,7 +112,7 @@ def _as_wide_as_needed(
     zeroed: bool,
     external: bool,
 ) -> Motion:
-    """As `prepared`, of a recording with torques; at a bandwidth that leaves enough rows."""
+    """Motion and torques of a recording, at the narrowest bandwidth that leaves enough rows."""
     least_hz = _LEAST_HZ
     while True:
         try:
@@ -144,7 +144,7 @@ def _prepared(
     *,
     least_hz: float,
 ) -> Motion:
-    """As `prepared`, with a bandwidth of at least `least_hz`, where none is stated.
+    """Motion and torques of a recording; where no bandwidth is stated, one of `least_hz` or more.
 
     Raises:
         _FewRowsError: too few rows are left.

@@ -74,7 +74,10 @@ _Zeros = tuple[NDArray[np.bool_], Array, Array]
 class RobotSystem(System):
     """A robot with its motion as it was measured; all rows count.
 
-    Attributes: see `System`, and
+    Channels are in units of their floors.
+
+    Attributes:
+        robot: the nominal one.
         listed: effects that the nominal robot has.
         motion: as it was measured.
         comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
@@ -125,7 +128,10 @@ class RobotSystem(System):
             self._zeros = self._of_zeros()
 
     def _candidate(self, effect: RobotEffect, motion: Motion) -> Candidate:
-        """As it is offered; forward in time most friction is MuJoCo's, which gives no way."""
+        """An effect with its places and numbers.
+
+        Forward in time most friction is MuJoCo's, which gives no way.
+        """
         parameters = effect.parameters(self.robot, motion.scale)
         if motion.forward and not effect.presliding_forward:
             parameters = tuple(p for p in parameters if p.role == "size")
