@@ -98,7 +98,7 @@ def removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float)
     Its state is estimated from the first rows, which do not count.
     """
     nominal_n, amended_n = (
-        replay_arm(arm, *recording.inputs)
+        replay_arm(arm, recording.course)
         for arm in (nominal, settled(amended, recording, SETTLED_ROWS))
     )
     judged = counted_rows(nominal, recording, nominal_n)

@@ -211,7 +211,7 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
                 named += f"tension_{first + 1}_n reads cable_{second + 1}, " in str(error)
             seconds.append(time.monotonic() - began)
             rows = rows_to_use(read)
-            nominal_n = replay_arm(arm, *read.rows(rows).inputs)
+            nominal_n = replay_arm(arm, read.rows(rows).course)
             findings = check_recording(read, arm, nominal_n, rows)
             false += any(finding.kind == EXCHANGED for finding in findings)
             resting_n = read.tensions_n[read.trial == read.trial[0]]

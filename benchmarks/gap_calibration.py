@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis import probability
-from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
+from cablesense_gap.diagnosis.probability import Fits, ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.system import problem_of
@@ -98,10 +98,14 @@ def _probabilities(
 ) -> dict[tuple[str, ...], float]:
     effects = [tuple(e) or ("none",) for e in case["effects"]]
     counts = np.array([0 if e == ("none",) else len(e) for e in effects])
-    rmse, sizes, strains = (np.array(case[name]) for name in ("left", "sizes", "strains"))
-    weights = log_weights(
-        rmse, counts, sizes, strains, case["tolerances"], case["floor"], calibration
+    fits = Fits(
+        held_out_rmse=np.array(case["left"]),
+        effects=counts,
+        sizes=np.array(case["sizes"]),
+        nuisance_chi2=np.array(case["strains"]),
+        nuisance_count=case["tolerances"],
     )
+    weights = log_weights(fits, case["floor"], calibration)
     shares = np.exp(weights - weights.max())
     return dict(zip([*effects, ("unknown",)], shares / shares.sum(), strict=True))
 

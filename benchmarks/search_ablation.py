@@ -153,7 +153,7 @@ CONSTANTS = (
     Constant(linear_fit, "CORRELATION", 1.0),
     Constant(fitting, "MOST_STEPS", NO_END),
     Constant(fitting, "_DERIVATIVE_STEP", 0.003),
-    Constant(fitting, "_NEAR", 0.0),
+    Constant(fitting, "_NEAR_DISTANCE", 0.0),
     Constant(fitting, "_CONVERGED_STEP", 1e-9),
     Constant(fitting, "_CONVERGED_GAIN", 0.0),
     Constant(fitting, "_FIRST_DAMPING", 1e-6),

@@ -117,10 +117,13 @@ def adapt(
 ) -> Adaptation:
     """Diagnose a recording, and judge the estimator in use and that of the amended arm.
 
-    `first` is the estimator in use, by default the law of the arm. See `diagnose` for the other
-    arguments and for errors.
+    `first` is the estimator in use, by default the law of the arm. `on_finding` receives each
+    problem of the recording; `progress` the present step and the share that is done, `announce`
+    the seconds that the search will take; `workers` processes share it. With `force` it continues
+    if channels look exchanged. From the files `kept` one goes on that was interrupted.
 
     Raises:
+        CableSenseError: as `arm_system.diagnose`: the recording or the arm cannot be used.
         AdaptationError: too few loads to withhold some.
     """
     unseen = withheld_trials(recording, arm)

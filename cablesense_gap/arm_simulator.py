@@ -22,7 +22,7 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
-_FOLLOWED = 16
+_FOLLOWED_ROWS = 16
 """Rows over which an equilibrium is followed: one that a load turned to may last so long."""
 _SIMILAR_ARMS = 16
 """Arms with other tolerances, by whose scatter rows are judged: enough for a scatter to a
@@ -30,17 +30,21 @@ fifth."""
 _MOST_SCATTER = 5.0
 """By how many times their readings may scatter more in a row that counts than in the middle one:
 on arms drawn at random 3 to 4 times where nothing turns."""
-_PRIOR = 0.05
+_DEFAULT_WEIGHT = 0.05
 """Weight of the default state against residuals in units of the floor: first rows that do not
 show a state leave it at its default."""
-_EVALUATIONS = 12
+_MOST_EVALUATIONS = 12
 """Of the residuals, in the fit of states: these act nearly linearly on the first rows."""
 
 
 class ArmSimulator:
     """A `Simulator` of an arm under the commands and loads of one recording.
 
-    Attributes: see `Simulator`, and `arm`, the nominal one.
+    Attributes:
+        arm: the nominal one.
+        candidates: effects to choose among.
+        tolerances: of the arm; each parameter's `typical` is its standard deviation.
+        floor: RMS of what the sensors add to a perfect reading, N.
     """
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
@@ -52,7 +56,7 @@ class ArmSimulator:
         self.candidates = tuple(_candidate(e, *sizes) for e in effects if not e.tolerance)
         self.tolerances = tolerance_candidates(arm)
         self._listed = entries_of(arm)
-        self._replay = Replay(arm, *recording.inputs)
+        self._replay = Replay(arm, recording.course)
         self._nominal_n: Array | None = None
         self._shape = recording.tensions_n.shape
 
@@ -115,7 +119,7 @@ def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
         EquilibriumError: a history-dependent arm has no equilibrium in some row.
     """
     entries = entries_of(arm)
-    replay = Replay(arm, *recording.inputs)
+    replay = Replay(arm, recording.course)
     if transmissions([entries]):
         return np.ones(len(recording), dtype=bool)
     predicted = replay.readings_n([entries], np.full(recording.tensions_n.shape, np.nan))[0]
@@ -135,7 +139,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     there. A row whose load nearly turns a segment does not count: there manufacturing tolerances
     change the readings far more than elsewhere, and not in proportion.
     """
-    replay = Replay(arm, *recording.inputs)
+    replay = Replay(arm, recording.course)
     (direct_n,) = replay.readings_n([[]], predicted_n)
     equilibrium_rad = replay.equilibrium_rad
     others: list[Array] = []
@@ -146,7 +150,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     for step in (1, -1):
         follower = replay.begun_at(equilibrium_rad)
         followed_n = direct_n
-        for _ in range(_FOLLOWED):
+        for _ in range(_FOLLOWED_ROWS):
             before_n = followed_n
             begin_rad = np.roll(follower.equilibrium_rad, step, axis=0)
             follower = follower.begun_at(begin_rad)
@@ -194,11 +198,16 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
         simulator = ArmSimulator(_with_states(arm, states, scaled * typical), first)
         residual = (first.tensions_n - simulator.predict([{}])[0]) / simulator.floor
         return np.concatenate(
-            [np.nan_to_num(residual, nan=1e3).ravel(), _PRIOR * (scaled - start)]
+            [np.nan_to_num(residual, nan=1e3).ravel(), _DEFAULT_WEIGHT * (scaled - start)]
         )
 
     optimum = least_squares(
-        residuals, start, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_EVALUATIONS
+        residuals,
+        start,
+        bounds=(low, high),
+        x_scale=1.0,
+        diff_step=0.02,
+        max_nfev=_MOST_EVALUATIONS,
     )
     return _with_states(arm, states, optimum.x * typical)
 

@@ -47,7 +47,7 @@ from cablesense_sim.replay import reading_variance_n2, replay_arm
 _LEAST_SUPPORTED = 0.9
 """Share of the rows in which the nominal arm must have an equilibrium; the others are left out.
 Real arms bear loads near the nominal arm's limit. Loads in a wrong unit fail in most rows."""
-_PLAY = 0.03
+_PLAY_SHARE = 0.03
 """Share of a cable's way after which it slides the other way, as seen by the reference."""
 _SUBSAMPLE_SHARE = 0.7
 """A subsample with more than this share of the rows saves too little time."""
@@ -91,7 +91,7 @@ class ArmSystem(ArmSimulator, System):
         mechanism = mechanism_of(self.arm)
         held_m = held_lengths_m(mechanism, self.recording.command_rad)
         stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
-        way = in_play(held_m - stretched_m, _PLAY)
+        way = in_play(held_m - stretched_m, _PLAY_SHARE)
         return Conditions(held_m, way, self.nominal_n, np.zeros_like(held_m))
 
     def condition_units(self) -> list[ConditionUnits]:
@@ -99,7 +99,10 @@ class ArmSystem(ArmSimulator, System):
         return [ConditionUnits(name, "m", "", "N", "") for name in self.arm.cable_names]
 
     def past(self) -> Past | None:
-        """As returning commands and loads show it; None if the nominal arm depends on the past."""
+        """By how much readings differ where commands and loads return, and in which rows.
+
+        None where they return too seldom, and if the nominal arm depends on the past.
+        """
         if transmissions([entries_of(self.arm)]):
             return None
         if (returned := returns(self._counted_recording, self.floor)) is None:
@@ -132,9 +135,10 @@ class ArmSystem(ArmSimulator, System):
                 )
         return fitted_numbers
 
-    def trial_number(self, part: int) -> int:
-        """The recording's number of a trial; a long one has several parts."""
-        return int(self.recording.trial[self.trial == part][0])
+    def trial_labels(self, parts: Sequence[int]) -> tuple[int, ...]:
+        """The recording's numbers, the lowest first; a long trial has several parts."""
+        numbers = np.unique(self.recording.trial[np.isin(self.trial, parts)])
+        return tuple(numbers.tolist())
 
     def channel_groupings(self) -> Sequence[NDArray[np.int64]]:
         """Each cable by itself, and the cables that end on a segment."""
@@ -271,7 +275,7 @@ def diagnose(
     still needed, with the numbers that this recording gives them.
 
     Args:
-        recording: see `read_recording`.
+        recording: of the arm, as `read_recording` gives it.
         arm: the nominal one.
         progress: receives the present step and the share of the whole that is done.
         workers: processes that share the search.
@@ -346,7 +350,7 @@ def _checked_system(
         supported = supported_rows(arm, used)
         if supported.all() or supported.mean() < _LEAST_SUPPORTED:
             # raises with a row that has no equilibrium
-            replay_arm(arm, *used.inputs)
+            replay_arm(arm, used.course)
         unsupported[rows[~supported]] = True
         rows = rows[supported]
         system = ArmSystem(arm, recording.rows(rows), unseen)
@@ -371,7 +375,7 @@ def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.i
     moves. Those `unseen` are dealt separately.
     """
     kinds: dict[tuple[bool, int, float, bool], list[int]] = {}
-    places_m = recording.inputs[3]
+    places_m = recording.course.places_m
     at_m = np.zeros(len(recording)) if places_m is None else np.nan_to_num(places_m).max(axis=1)
     for t, number in enumerate(np.unique(recording.trial)):
         rows = recording.trial == number

@@ -5,33 +5,36 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, probability_unlisted
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
-from cablesense_gap.explained import NEGLIGIBLE
+from cablesense_gap.explained import NEGLIGIBLE, Changes
 from cablesense_gap.verdict import ChannelGap, removed_fraction
 
 
 def judged_channels(
-    problem: Problem,
-    explained: Hypothesis,
+    changes: Changes,
+    used: NDArray[np.bool_],
     gaps: Mapping[str, ChannelGap],
     calibration: ProbabilityCalibration,
 ) -> dict[str, ChannelGap]:
-    """The gaps of the channels, in their order, with what removes them and what stays."""
-    used = problem.used
+    """The gaps of the channels, in their order, with what removes them and what stays.
+
+    `changes` are those of the hypothesis that explains the readings in the `used` rows (R,).
+    """
+    problem = changes.problem
+    explained = changes.hypothesis
     before = _rms_by_channel((problem.readings - problem.nominal)[used])
     after = _rms_by_channel((problem.readings - explained.held_out)[used])
-    changes = {
-        effect: _rms_by_channel(_change_by(problem, explained, effect)[used])
-        for effect in explained.effects
+    by_effect = {
+        effect: _rms_by_channel(changes.without(effect)[used]) for effect in explained.effects
     }
     judged = {}
     for c, (name, gap) in enumerate(gaps.items()):
         least = max(NEGLIGIBLE * before[c], problem.floor)
-        effects = [effect for effect, change in changes.items() if change[c] >= least]
-        effects.sort(key=lambda effect: -changes[effect][c])
+        effects = [effect for effect, change in by_effect.items() if change[c] >= least]
+        effects.sort(key=lambda effect: -by_effect[effect][c])
         judged[name] = gap.model_copy(
             update={
                 "removed_fraction": removed_fraction(gap.before, gap.after, gap.floor),
@@ -45,12 +48,6 @@ def judged_channels(
 def acting_channels(channels: Mapping[str, ChannelGap]) -> tuple[str, ...]:
     """Channels in which something unlisted acts besides, more probably than not."""
     return tuple(name for name, gap in channels.items() if (gap.unlisted or 0.0) > 0.5)
-
-
-def _change_by(problem: Problem, explained: Hypothesis, effect: str) -> Array:
-    """(R, C) by which predictions change without an effect, all else as fitted."""
-    others = {term: value for term, value in explained.values.items() if term.effect != effect}
-    return np.asarray(explained.without_nuisance - problem.predict([others])[0])
 
 
 def _rms_by_channel(values: Array) -> Array:

@@ -26,9 +26,9 @@ from cablesense_gap.verdict import ChannelCoverage, Lacking, Quantity, listed
 
 LEAST_COVERED = 0.5
 """Share of a channel's readings below which its floor is mostly extrapolated."""
-_COUNTS = 0.5
+_COUNTED_SHARE = 0.5
 """Share of what counts before the low-pass from which on a reading has conditions."""
-_MOST = 0.05, 0.95
+_RANGE_QUANTILES = 0.05, 0.95
 """Quantiles of conditions that a recording is said to have."""
 
 
@@ -80,7 +80,7 @@ def coverage_of(
     by_channel = {}
     for c, channel_units in enumerate(units):
         lacking: tuple[Lacking, ...] = ()
-        uncovered = ~covered[:, c] & (counts[:, c] > _COUNTS)
+        uncovered = ~covered[:, c] & (counts[:, c] > _COUNTED_SHARE)
         if conditions is not None and reference is not None and uncovered.any():
             lacking = tuple(_lacking(conditions, reference, uncovered, c, channel_units))
         share = _share(covered[:, c], counts[:, c])
@@ -104,9 +104,11 @@ def _lacking(
     beyond = reference.beyond(conditions)
     for name in get_args(Quantity):
         margins = getattr(beyond, name)[uncovered, c]
-        if np.quantile(margins, _MOST[1]) < 1.0:
+        if np.quantile(margins, _RANGE_QUANTILES[1]) < 1.0:
             continue
-        least, most = np.quantile(getattr(conditions, name)[uncovered, c], _MOST).tolist()
+        least, most = np.quantile(
+            getattr(conditions, name)[uncovered, c], _RANGE_QUANTILES
+        ).tolist()
         low = float(getattr(reference.low, name)[c])
         high = float(getattr(reference.high, name)[c])
         yield Lacking(

@@ -15,11 +15,11 @@ from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_gap.verdict import Earlier
 from cablesense_sim.effects.effect import WHOLE_ARM
 
-_STEPS = 4
+_STEPS_WITH_ALL = 4
 """Gauss-Newton steps with all listed effects, which start at earlier numbers."""
 _STEPS_WITHOUT = 2
 """Gauss-Newton steps without one of them, from the fit with all."""
-_WORSE = 1.08
+_NEEDED_COST_RATIO = 1.08
 """Ratio of the costs without and with an effect from which on the effect is needed:
 `EFFECT_WORTH`."""
 
@@ -30,7 +30,7 @@ def judged(problem: Problem, listed: Assignment) -> tuple[dict[Term, float], tup
     `problem` is that of the machine without them. The needed effects have the numbers that this
     recording gives them. Nothing is judged if they cannot be simulated under the recording.
     """
-    fitted = refit(problem, listed, _STEPS)
+    fitted = refit(problem, listed, _STEPS_WITH_ALL)
     if fitted is None:
         return dict(listed), ()
     earlier = []
@@ -39,7 +39,7 @@ def judged(problem: Problem, listed: Assignment) -> tuple[dict[Term, float], tup
         others = {t: v for t, v in fitted.values.items() if t.effect != effect}
         rest = refit(problem, others, _STEPS_WITHOUT)
         needed = rest is None or (
-            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted)
+            problem.cost_of(rest) > _NEEDED_COST_RATIO * problem.cost_of(fitted)
             and fitted.is_clearly_better_than(rest)
         )
         if not needed:

@@ -106,7 +106,7 @@ def _differences_n(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: flo
     be simulated.
     """
     rows = rows_of((block,), rate_hz)
-    replay = Replay(arm, *rows.inputs)
+    replay = Replay(arm, rows.course)
     try:
         predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:

@@ -108,17 +108,43 @@ def fitted_number(parameter: Parameter, value: float, half: float) -> FittedNumb
     return FittedNumber(value=value, unit=parameter.unit, ci95=(low, high))
 
 
+class Changes:
+    """By how much a hypothesis's predictions change without some of its effects.
+
+    Each change is simulated once, when it is first asked for.
+
+    Attributes:
+        problem: the readings that the hypothesis is fitted to.
+        hypothesis: all of whose other numbers stay as fitted.
+    """
+
+    def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
+        """Take a hypothesis of a problem."""
+        self.problem = problem
+        self.hypothesis = hypothesis
+        self._simulated: dict[frozenset[str], Array] = {}
+
+    def without(self, *effects: str) -> Array:
+        """(R, C) predictions with all effects minus those without these."""
+        named = frozenset(effects)
+        if named not in self._simulated:
+            values = self.hypothesis.values
+            others = {term: value for term, value in values.items() if term.effect not in named}
+            (predicted,) = self.problem.predict([others])
+            self._simulated[named] = self.hypothesis.without_nuisance - predicted
+        return self._simulated[named]
+
+
 def shares(
-    problem: Problem, ranked: Sequence[Ranked], values: Mapping[Term, float]
+    changes: Changes, ranked: Sequence[Ranked], values: Mapping[Term, float]
 ) -> dict[str, Share]:
-    """The share of each effect of the first hypothesis, the largest first.
+    """The share of each effect of a hypothesis, the first of those `ranked`, the largest first.
 
     `values` are those in the places that matter. The intervals are linear about the fit.
     """
-    best = ranked[0].hypothesis
-    if best is None:
-        return {}
-    parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
+    problem = changes.problem
+    best = changes.hypothesis
+    parts = {effect: _part(changes, effect) for effect in best.effects}
     largest = sorted(best.effects, key=lambda effect: -parts[effect].size)
     share_of = {}
     for k, effect in enumerate(largest):
@@ -137,24 +163,26 @@ def shares(
     return share_of
 
 
-def removes(problem: Problem, hypothesis: Hypothesis) -> bool:
+def removes(changes: Changes) -> bool:
     """Whether the effects of a hypothesis make predictions better, and each of them changes them.
 
     On held-out trials they leave less than `_LEFT_AT_MOST` of the gap of the nominal machine. The
     share of each effect is larger than its own standard deviation, or that of a pair is in which
     it trades with another.
     """
+    problem = changes.problem
+    hypothesis = changes.hypothesis
     before = _rms((problem.readings - problem.nominal)[problem.used])
     if hypothesis.held_out_rmse >= _LEFT_AT_MOST * before:
         return False
-    pairs = trades(problem, hypothesis)
+    pairs = trades(changes)
     in_known_pairs = {
         effect
         for trade in pairs
         if trade.traded.ci95_n[0] > 0.0
         for effect in trade.traded.effects
     }
-    parts = {effect: _part(problem, hypothesis, {effect}) for effect in hypothesis.effects}
+    parts = {effect: _part(changes, effect) for effect in hypothesis.effects}
     known_alone = {effect for effect, part in parts.items() if part.size > part.deviation}
     return set(hypothesis.effects) <= known_alone | in_known_pairs
 
@@ -172,13 +200,15 @@ def remainder(problem: Problem, hypothesis: Hypothesis) -> Remainder:
     return Remainder(tolerances, unexplained, share)
 
 
-def trades(problem: Problem, best: Hypothesis) -> list[Trade]:
+def trades(changes: Changes) -> list[Trade]:
     """Pairs of effects whose shares trade against each other, the largest pair first.
 
     The sensitivities at the fit decide: numbers of both can move together so that predictions
     hardly change. Sizes that need opposite signs for that are such a pair too.
     """
-    parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
+    problem = changes.problem
+    best = changes.hypothesis
+    parts = {effect: _part(changes, effect) for effect in best.effects}
     traded_pairs = []
     for pair in combinations(best.effects, 2):
         one, other = (parts[effect] for effect in pair)
@@ -188,7 +218,7 @@ def trades(problem: Problem, best: Hypothesis) -> list[Trade]:
         correlation = covariance / (one.deviation * other.deviation)
         if abs(correlation) < TRADING:
             continue
-        joint_part = _part(problem, best, set(pair))
+        joint_part = _part(changes, *pair)
         less = min(one, other, key=lambda part: part.size)
         traded = Traded(
             effects=pair,
@@ -226,9 +256,10 @@ class _Part(NamedTuple):
         return max(self.size - half, 0.0), self.size + half
 
 
-def _part(problem: Problem, best: Hypothesis, effects: set[str]) -> _Part:
-    others = {t: v for t, v in best.values.items() if t.effect not in effects}
-    change = (best.without_nuisance - problem.predict([others])[0])[problem.used]
+def _part(changes: Changes, *effects: str) -> _Part:
+    problem = changes.problem
+    best = changes.hypothesis
+    change = changes.without(*effects)[problem.used]
     size = _rms(change)
     slope = np.zeros(len(best.values))
     if size > 0.0:

@@ -30,11 +30,12 @@ from cablesense_gap.diagnosis.extent import (
 )
 from cablesense_gap.diagnosis.nuisance import final_refinement
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    NONE_ALONE,
+    UNKNOWN_ALONE,
+    Fits,
     ProbabilityCalibration,
     Ranked,
     in_order,
-    log_weight_beside_unlisted,
     log_weights_alone,
     log_weights_beside_unlisted,
     named,
@@ -43,16 +44,16 @@ from cablesense_gap.diagnosis.probability import (
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import is_redundant
-from cablesense_gap.explained import removes
+from cablesense_gap.explained import Changes, removes
 from cablesense_gap.system import System
 
-_EXTENTS = 2
+_MOST_EXTENTS = 2
 """Extents outside which effects are fitted, those with the best linear forecasts."""
-_PROPOSED = 6
+_MOST_PROPOSALS = 6
 """Additions that are fitted outside an extent: as many as a search starts from."""
-_KNOWN = 3
+_MOST_KNOWN = 3
 """Hypotheses of all readings that are fitted there again."""
-_STEPS = 3
+_REFIT_STEPS = 3
 """Gauss-Newton steps of these, which are near their best values already."""
 
 
@@ -90,11 +91,13 @@ class Explanations:
         ranked: the one that the verdict names first; its hypothesis is of all readings.
         unlisted: the probability that something unlisted acts, alone or beside effects.
         beside: what acts beside the named effects; None if they are likelier alone.
+        changes: by the effects of the first, where they are fitted.
     """
 
     ranked: tuple[Ranked, ...]
     unlisted: float
     beside: Beside | None
+    changes: Changes
 
 
 class _Explanation(NamedTuple):
@@ -117,7 +120,7 @@ class _Explanation(NamedTuple):
     @property
     def name(self) -> tuple[str, ...]:
         """That of its set in verdicts."""
-        return self.fitted.effects or (("none",) if self.extent is None else UNKNOWN)
+        return self.fitted.effects or (NONE_ALONE if self.extent is None else UNKNOWN_ALONE)
 
 
 def explanations(
@@ -142,8 +145,9 @@ def explanations(
     while True:
         ranked = named(problem, _merged(weighed, problem.floor), calibration)
         best = _likeliest(weighed, ranked[0].effects)
-        if not best.fitted.effects or removes(best.problem, best.fitted):
-            return _answer(weighed, ranked, best)
+        changes = Changes(best.problem, best.fitted)
+        if not best.fitted.effects or removes(changes):
+            return _answer(weighed, ranked, best, changes)
         # one that removes nothing is no explanation: the others share its probability
         weighed = [each for each in weighed if each is not best]
 
@@ -172,7 +176,12 @@ def _everywhere(
     extent = Extent.whole(problem)
     unlisted_rmse = np.array([h.held_out_rmse for h in hypotheses])
     weights = log_weights_beside_unlisted(
-        hypotheses, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+        Fits.of(hypotheses),
+        unlisted_rmse,
+        extent.share,
+        extent.log_choices,
+        problem.floor,
+        calibration,
     )
     return [
         _Explanation(float(weight), h, h, extent, problem)
@@ -190,7 +199,7 @@ def _in_extents(
     screened = screened_extents(problem, system.channel_groupings())
     promising = sorted(screened, key=lambda each: -_forecast(problem, each, calibration))
     weighed: list[_Explanation] = []
-    for each in promising[:_EXTENTS]:
+    for each in promising[:_MOST_EXTENTS]:
         extent = each.extent
         others = without_extent(problem, extent)
         fitted = system.completed(others, _hypotheses(others, each, hypotheses))
@@ -198,7 +207,12 @@ def _in_extents(
         acts = extent.readings(problem)
         unlisted_rmse = np.array([_rms((problem.readings - h.held_out)[acts]) for h in whole])
         weights = log_weights_beside_unlisted(
-            fitted, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+            Fits.of(fitted),
+            unlisted_rmse,
+            extent.share,
+            extent.log_choices,
+            problem.floor,
+            calibration,
         )
         weighed.extend(
             _Explanation(float(weight), one, over_all, extent, others)
@@ -211,25 +225,20 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
     """The largest weight of an explanation in an extent, linear, as if it left all there."""
     extent = screened.extent
     nominal_left = _rms((problem.readings - problem.nominal)[extent.readings(problem)])
-
-    def weight(outside_rmse: float, effects: int, sizes: int) -> float:
-        return log_weight_beside_unlisted(
-            outside_rmse,
-            nominal_left,
-            extent.share,
-            effects,
-            sizes,
-            extent.log_choices,
-            problem.floor,
-            calibration,
-        )
-
-    nothing_listed = weight(screened.without_effects.held_out_rmse, 0, 0)
-    listed = [
-        weight(float(np.hypot(p.forecast, problem.floor)), len(p.effects), len(p.coefficients))
-        for p in screened.proposals[:_PROPOSED]
-    ]
-    return max([nothing_listed, *listed])
+    proposals = screened.proposals[:_MOST_PROPOSALS]
+    listed_rmse = [float(np.hypot(p.forecast, problem.floor)) for p in proposals]
+    fits = Fits(
+        held_out_rmse=np.array([screened.without_effects.held_out_rmse, *listed_rmse]),
+        effects=np.array([0, *(len(p.effects) for p in proposals)]),
+        sizes=np.array([0, *(len(p.coefficients) for p in proposals)]),
+        nuisance_chi2=np.zeros(1 + len(proposals)),
+        nuisance_count=1,
+    )
+    unlisted_rmse = np.full(1 + len(proposals), nominal_left)
+    weights = log_weights_beside_unlisted(
+        fits, unlisted_rmse, extent.share, extent.log_choices, problem.floor, calibration
+    )
+    return float(weights.max())
 
 
 def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
@@ -240,7 +249,7 @@ def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
         total[each.name] = total.get(each.name, 0.0) + probability
     ranked = []
     for name, probability in total.items():
-        if name == UNKNOWN:
+        if name == UNKNOWN_ALONE:
             ranked.append(Ranked(name, probability, None))
         else:
             best = _likeliest(weighed, name)
@@ -261,7 +270,7 @@ def _probabilities(weighed: Sequence[_Explanation]) -> list[float]:
 
 
 def _answer(
-    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation
+    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation, changes: Changes
 ) -> Explanations:
     pairs = zip(weighed, _probabilities(weighed), strict=True)
     unlisted = sum(probability for each, probability in pairs if each.extent is not None)
@@ -276,7 +285,7 @@ def _answer(
         ]
         others = sorted(fitted_there[1:], key=lambda each: -each.probability)
         beside = Beside(best.extent, best.problem, (fitted_there[0], *others))
-    return Explanations(tuple(ranked), unlisted, beside)
+    return Explanations(tuple(ranked), unlisted, beside, changes)
 
 
 def _hypotheses(
@@ -296,15 +305,17 @@ def _hypotheses(
             if each.effects not in best or problem.score(each) < problem.score(best[each.effects]):
                 best[each.effects] = each
 
-    keep(chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_PROPOSED]))
+    keep(
+        chain.from_iterable(fitting.fit(problem, p) for p in screened.proposals[:_MOST_PROPOSALS])
+    )
     kept = ~screened.extent.channels
     mean_square = {
         k: float(((problem.readings - h.held_out[:, kept])[problem.used] ** 2).mean())
         for k, h in enumerate(known)
         if h.effects and h.effects not in best
     }
-    for k in sorted(mean_square, key=lambda k: mean_square[k])[:_KNOWN]:
-        keep([fitting.refit(problem, known[k].values, _STEPS)])
+    for k in sorted(mean_square, key=lambda k: mean_square[k])[:_MOST_KNOWN]:
+        keep([fitting.refit(problem, known[k].values, _REFIT_STEPS)])
     if best:
         first = min(best.values(), key=problem.score)
         keep([final_refinement(problem, first)[0]])

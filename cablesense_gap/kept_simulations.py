@@ -116,11 +116,11 @@ class KeptSimulator:
         return self._simulator.floor
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """Channels (P, R, C) of P variants, see `Simulator`."""
+        """Channels (P, R, C) of P variants; simulated unless they are in a file."""
         return self._kept("predict", variants, lambda: self._simulator.predict(variants))
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
-        """Changes (P, R, C) by small differences from a base, see `LinearSimulator`."""
+        """Changes (P, R, C) by small differences from a base; simulated unless in a file."""
         return self._kept(
             "small_changes",
             [base, *variants],

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -20,7 +19,8 @@ from cablesense_gap.coverage import Coverage
 from cablesense_gap.diagnosis.duration import expected_s
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    UNKNOWN_ALONE,
+    ProbabilityCalibration,
     Ranked,
     ambiguity,
     bundled_calibration,
@@ -30,6 +30,9 @@ from cablesense_gap.diagnosis.probability import (
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import (
+    Changes,
+    Remainder,
+    Trade,
     candidate_results,
     gap_size,
     remainder,
@@ -37,7 +40,7 @@ from cablesense_gap.explained import (
     significant_values,
     trades,
 )
-from cablesense_gap.explanations import Beside, explanations
+from cablesense_gap.explanations import Beside, Explanations, explanations
 from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
@@ -80,37 +83,116 @@ class Outcome:
     held_out: Array
 
 
-def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
-    """Whether the reference leaves open if something changed.
+@dataclass(frozen=True)
+class _Weighing:
+    """All explanations of a recording, by what is expected of the nominal machine.
 
-    A channel of which most is not covered may have changed unseen. Named effects rest on the
-    covered readings: they stand if these make them probable, in more than one trial.
+    Attributes:
+        expected: of the machine beyond its model: of the healthy one by a reference, or of one
+            whose model has an error.
+        model_error: (C,) RMS that the nominal model is taken to leave; None if it is exact, and
+            against a reference.
+        problem: the readings beyond the expected ones.
+        hypotheses: of the search in it.
+        explanations: by these, weighed.
+        calibration: by which they are weighed.
     """
-    if not coverage.lacking:
-        return False
-    best = ranked[0]
-    if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
-        return True
-    without_effects = next(h for r in ranked if (h := r.hypothesis) and not h.effects)
-    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
-        without_effects
-    )
+
+    expected: Expected
+    model_error: Array | None
+    problem: Problem
+    hypotheses: list[Hypothesis]
+    explanations: Explanations
+    calibration: ProbabilityCalibration
 
 
-def _changed_where_covered(first: Ranked) -> tuple[str, ...]:
-    if first.effects != UNKNOWN:
-        return ()
-    return (
-        "Where the reference covers the recording, something changed that no listed effect "
-        "explains.",
-    )
+@dataclass(frozen=True)
+class _Naming:
+    """The explanation that the verdict names, and the readings that it rests on.
+
+    Attributes:
+        ranked: all that is weighed, the named one first.
+        insufficient: the coverage by a reference that leaves open if something changed, so that
+            the verdict cannot tell; None if it does not, and without a reference.
+        beside: something unlisted that acts beside the named effects; None if nothing does.
+        problem: the readings in which nothing unlisted acts.
+        ranked_there: the hypotheses that were fitted to these, the named one first.
+        whole: the named hypothesis for all readings, that of tolerances alone where none is named.
+        changes: by its effects, as it is fitted in `problem`.
+        values: of `whole` in the places that matter.
+    """
+
+    ranked: list[Ranked]
+    insufficient: Coverage | None
+    beside: Beside | None
+    problem: Problem
+    ranked_there: list[Ranked]
+    whole: Hypothesis
+    changes: Changes
+    values: dict[Term, float]
+
+    @property
+    def hypothesis(self) -> Hypothesis | None:
+        """The named one for all readings; None if an unlisted effect is named."""
+        return self.ranked[0].hypothesis
+
+    @property
+    def fitted(self) -> Hypothesis | None:
+        """The same, as it was fitted to the readings in which nothing unlisted acts."""
+        return self.ranked_there[0].hypothesis
+
+    def doubted(self, doubts: Sequence[str]) -> _Naming:
+        """The same with a probability that doubts bound."""
+        if not doubts:
+            return self
+        first = replace(self.ranked[0], probability=min(self.ranked[0].probability, DOUBTED))
+        return replace(self, ranked=[first, *self.ranked[1:]])
+
+    @property
+    def stated(self) -> list[Ranked]:
+        """All that is weighed, the named one as it was fitted."""
+        first = replace(self.ranked_there[0], probability=self.ranked[0].probability)
+        return [first, *self.ranked[1:]]
 
 
-def _reference_gap(reference: Reference, coverage: Coverage | None) -> ReferenceGap:
-    if coverage is None:
-        return reference.left
-    stated_coverage = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
-    return reference.left.model_copy(update=stated_coverage)
+@dataclass(frozen=True)
+class _Account:
+    """What a person reads about the named explanation.
+
+    Attributes:
+        group: the explanations between which the recording does not decide.
+        reasons: why it is named, as sentences.
+        experiment: what to record next.
+        traded: its effects whose shares trade against each other.
+        remainder: beyond its effects.
+        held_out: (R, C) of the weighted problem by it, or with the flexible correction.
+    """
+
+    group: tuple[str, ...]
+    reasons: tuple[str, ...]
+    experiment: str
+    traded: list[Trade]
+    remainder: Remainder
+    held_out: Array
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Readings as measured, as the nominal and as the amended machine predict them.
+
+    Attributes:
+        nominal: (R, C) predicted by the nominal machine.
+        held_out: (R, C) by the amended one, or with the flexible correction.
+        residual: (R, C) of the nominal machine.
+        gap: over the readings in which nothing unlisted acts.
+        channels: the same by channel, with what removes it.
+    """
+
+    nominal: Array
+    held_out: Array
+    residual: Array
+    gap: Gap
+    channels: dict[str, ChannelGap]
 
 
 def diagnose_system(
@@ -137,143 +219,288 @@ def diagnose_system(
     prepared_s = time.monotonic() - prepares_s
     if kept is None or not kept.count:  # what is kept takes no time
         announce(expected_s(problem, prepared_s, workers))
+    weighing = _weighing(system, problem, reference, progress, workers)
+    naming = _naming(system, weighing)
+    progress("describing the verdict", 0.98)
+    account = _account(system, weighing, naming)
+    comparison = _comparison(system, weighing, naming, account)
+    verdict = _verdict(system, reference, weighing, naming, account, comparison)
+    progress("done", 1.0)
+    return Outcome(
+        verdict=verdict.model_copy(update={"seconds": time.monotonic() - began_s}),
+        values=naming.values,
+        tolerances=naming.whole.nuisance,
+        known=nuisance_posterior(naming.problem, naming.fitted or naming.whole),
+        nominal=comparison.nominal,
+        held_out=comparison.held_out,
+    )
+
+
+def _weighing(
+    system: System,
+    problem: Problem,
+    reference: Reference | None,
+    progress: Callable[[str, float], None],
+    workers: int,
+) -> _Weighing:
+    """The explanations of a recording.
+
+    Without a reference they are weighed again if no hypothesis fits any channel: the model is
+    then taken to have an error, as models of real machines do.
+    """
     calibration = bundled_calibration()
-    nothing = np.zeros_like(problem.readings)
-    usual = Expected(nothing, nothing + 1.0, problem.floor)
+
+    def weighed(expected: Expected, error: Array | None, expecting: Problem) -> _Weighing:
+        hypotheses = system.completed(expecting, search(expecting, progress, workers))
+        explained = explanations(system, expecting, hypotheses, calibration, progress)
+        return _Weighing(expected, error, expecting, hypotheses, explained, calibration)
+
     if reference is not None:
-        usual = reference.expected(system, problem)
-        problem = problem_since(problem, usual)
-    hypotheses = system.completed(problem, search(problem, progress, workers))
-    weighed = partial(explanations, system, calibration=calibration, progress=progress)
-    explained_by = weighed(problem, hypotheses)
-    error = None if reference is not None else system.model_error(problem, hypotheses)
-    if error is not None:
-        beside = explained_by.beside
-        if beside is not None and beside.nothing_elsewhere(calibration):
-            error = None
-    if error is not None:
-        usual = expected_of_inexact_model(system, problem, error, hypotheses)
-        problem = problem_since(problem, usual)
-        hypotheses = system.completed(problem, search(problem, progress, workers))
-        explained_by = weighed(problem, hypotheses)
-    ranked = list(explained_by.ranked)
-    beside = explained_by.beside
-    coverage = usual.coverage
-    cannot_tell = coverage is not None and _cannot_tell(coverage, ranked)
-    changed: tuple[str, ...] = ()
-    if cannot_tell:
-        changed = _changed_where_covered(ranked[0])
+        healthy = reference.expected(system, problem)
+        return weighed(healthy, None, problem_since(problem, healthy))
+    nothing = np.zeros_like(problem.readings)
+    exact = weighed(Expected(nothing, nothing + 1.0, problem.floor), None, problem)
+    error = system.model_error(problem, exact.hypotheses)
+    beside = exact.explanations.beside
+    if error is None or (beside is not None and beside.nothing_elsewhere(calibration)):
+        return exact
+    inexact = expected_of_inexact_model(system, problem, error, exact.hypotheses)
+    return weighed(inexact, error, problem_since(problem, inexact))
+
+
+def _naming(system: System, weighing: _Weighing) -> _Naming:
+    """The likeliest explanation; none of a change where a reference leaves that open."""
+    ranked = list(weighing.explanations.ranked)
+    beside = weighing.explanations.beside
+    coverage = weighing.expected.coverage
+    insufficient = None
+    if coverage is not None and _cannot_tell(coverage, ranked):
+        insufficient = coverage
         ranked = sorted(ranked, key=lambda each: each.effects != (NONE,))
         beside = None
-    # the readings in which nothing unlisted acts, and the hypotheses that were fitted to these
-    of_effects = problem
-    fitted_to_these = ranked
-    if beside is not None:
-        of_effects = beside.problem
-        fitted_to_these = list(beside.ranked)
-    progress("describing the verdict", 0.98)
-    best = ranked[0].hypothesis
-    used = problem.used
-    without_effects = next(h for h in hypotheses if not h.effects)
-    explained = best or without_effects
-    values = significant_values(explained, system.candidates)
-    fitted = fitted_to_these[0].hypothesis
-    traded = trades(of_effects, fitted) if fitted else []
-    rest = remainder(problem, explained)
-    group, reasons = ambiguity(of_effects, fitted_to_these, system.unit)
-    held_out = explained.held_out
-    experiment = ""
-    if best:
-        near = rivals_of(fitted_to_these) or near_none(fitted_to_these)
-        rivals = [r.hypothesis.values for r in near if r.hypothesis is not None]
-        if traded and not rivals:
-            one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
-            question = f"how much is {one} and how much {other}"
-            experiment = system.next_experiment([best.values, traded[0].elsewhere], question)
-        elif beside is not None:
-            described = system.unlisted(problem, problem.readings - best.held_out)
-            reasons = (*reasons, *described.reasons)
-            experiment = "" if rivals else described.experiment
-        elif rest.share >= _MUCH_UNEXPLAINED and not rivals:
-            experiment = system.repetition((system.readings - usual.read(best.held_out))[used])
-        experiment = experiment or system.next_experiment([values, *rivals], "")
+    problem = weighing.problem if beside is None else beside.problem
+    ranked_there = ranked if beside is None else list(beside.ranked)
+    whole = ranked[0].hypothesis or _without_effects(weighing.hypotheses)
+    changes = weighing.explanations.changes
+    if changes.hypothesis is not ranked_there[0].hypothesis:
+        changes = Changes(problem, whole)
+    return _Naming(
+        ranked=ranked,
+        insufficient=insufficient,
+        beside=beside,
+        problem=problem,
+        ranked_there=ranked_there,
+        whole=whole,
+        changes=changes,
+        values=significant_values(whole, system.candidates),
+    )
+
+
+def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
+    """Whether the reference leaves open if something changed.
+
+    A channel of which most is not covered may have changed unseen. Named effects rest on the
+    covered readings: they stand if these make them probable, in more than one trial.
+    """
+    if not coverage.lacking:
+        return False
+    best = ranked[0]
+    if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
+        return True
+    without_effects = _without_effects([h for r in ranked if (h := r.hypothesis)])
+    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
+        without_effects
+    )
+
+
+def _without_effects(hypotheses: Sequence[Hypothesis]) -> Hypothesis:
+    """The hypothesis of tolerances alone."""
+    return next(hypothesis for hypothesis in hypotheses if not hypothesis.effects)
+
+
+def _account(system: System, weighing: _Weighing, naming: _Naming) -> _Account:
+    """What a person reads about the named explanation, and what to record next."""
+    group, reasons = ambiguity(naming.problem, naming.ranked_there, system.unit)
+    account = _Account(
+        group=group,
+        reasons=reasons,
+        experiment="",
+        traded=trades(naming.changes),
+        remainder=remainder(weighing.problem, naming.whole),
+        held_out=naming.whole.held_out,
+    )
+    if naming.hypothesis is None:
+        account = _of_unlisted(system, weighing, account)
     else:
-        described = system.unlisted(problem, problem.readings - without_effects.held_out)
-        least = min(hypotheses, key=lambda e: e.held_out_rmse)
-        names = " with ".join(least.effects).replace("_", " ") or "none"
-        comparison = (
-            "On held-out trials, tolerances alone leave "
-            f"{without_effects.held_out_rmse:.3g} {system.unit}; "
-            f"the best that listed effects do is {least.held_out_rmse:.3g} {system.unit} "
-            f"({names})."
-        )
-        reasons = (comparison, *described.reasons)
-        experiment = described.experiment
-        held_out = without_effects.held_out + described.correction
-    predicted = held_out if beside is None or fitted is None else fitted.held_out
-    gap = _gap_of(of_effects, predicted, fitted)
-    nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
-    measured = [system.readings - each for each in (nominal, held_out)]
-    numbers = system.numbers(explained, values)
+        account = _of_hypothesis(system, weighing, naming, naming.hypothesis, account)
+    if naming.insufficient is None:
+        return account
+    return replace(
+        account,
+        group=(CANNOT_TELL,),
+        reasons=_changed_where_covered(weighing.explanations.ranked[0]),
+        experiment=naming.insufficient.experiment,
+    )
+
+
+def _of_hypothesis(
+    system: System, weighing: _Weighing, naming: _Naming, named: Hypothesis, account: _Account
+) -> _Account:
+    """With the experiment for a named hypothesis: it asks for what is least known of it."""
+    problem = weighing.problem
+    near = rivals_of(naming.ranked_there) or near_none(naming.ranked_there)
+    rivals = [r.hypothesis.values for r in near if r.hypothesis is not None]
+    reasons = account.reasons
+    experiment = ""
+    if account.traded and not rivals:
+        foremost = account.traded[0]
+        one, other = (effect.replace("_", " ") for effect in foremost.traded.effects)
+        question = f"how much is {one} and how much {other}"
+        experiment = system.next_experiment([named.values, foremost.elsewhere], question)
+    elif naming.beside is not None:
+        described = system.unlisted(problem, problem.readings - named.held_out)
+        reasons = (*reasons, *described.reasons)
+        experiment = "" if rivals else described.experiment
+    elif account.remainder.share >= _MUCH_UNEXPLAINED and not rivals:
+        residual = system.readings - weighing.expected.read(named.held_out)
+        experiment = system.repetition(residual[problem.used])
+    experiment = experiment or system.next_experiment([naming.values, *rivals], "")
+    return replace(account, reasons=reasons, experiment=experiment)
+
+
+def _of_unlisted(system: System, weighing: _Weighing, account: _Account) -> _Account:
+    """With the pattern of what an unlisted effect leaves, and a correction without physics."""
+    problem = weighing.problem
+    without_effects = _without_effects(weighing.hypotheses)
+    described = system.unlisted(problem, problem.readings - without_effects.held_out)
+    least = min(weighing.hypotheses, key=lambda each: each.held_out_rmse)
+    names = " with ".join(least.effects).replace("_", " ") or "none"
+    comparison = (
+        "On held-out trials, tolerances alone leave "
+        f"{without_effects.held_out_rmse:.3g} {system.unit}; "
+        f"the best that listed effects do is {least.held_out_rmse:.3g} {system.unit} "
+        f"({names})."
+    )
+    return replace(
+        account,
+        reasons=(comparison, *described.reasons),
+        experiment=described.experiment,
+        held_out=without_effects.held_out + described.correction,
+    )
+
+
+def _changed_where_covered(likeliest: Ranked) -> tuple[str, ...]:
+    """What is still to be said where a reference leaves open if something changed."""
+    if likeliest.effects != UNKNOWN_ALONE:
+        return ()
+    return (
+        "Where the reference covers the recording, something changed that no listed effect "
+        "explains.",
+    )
+
+
+def _comparison(
+    system: System, weighing: _Weighing, naming: _Naming, account: _Account
+) -> _Comparison:
+    """The gap before and after, of the readings in which nothing unlisted acts."""
+    expected = weighing.expected
+    fitted = naming.fitted
+    held_out_there = account.held_out
+    if naming.beside is not None and fitted is not None:
+        held_out_there = fitted.held_out
+    nominal = expected.read(weighing.problem.nominal)
+    held_out = expected.read(account.held_out)
+    residual = system.readings - nominal
+    residual_after = system.readings - held_out
+    rows = naming.problem.used
+    deviations = _rms((expected.floor / expected.weight)[rows])
+    gaps = system.channels(residual[rows], residual_after[rows], deviations)
+    changes = naming.changes
+    if naming.beside is not None:
+        changes = Changes(weighing.problem, naming.whole)
+    return _Comparison(
+        nominal=nominal,
+        held_out=held_out,
+        residual=residual,
+        gap=_gap_of(naming.problem, held_out_there, fitted),
+        channels=judged_channels(changes, rows, gaps, weighing.calibration),
+    )
+
+
+def _verdict(
+    system: System,
+    reference: Reference | None,
+    weighing: _Weighing,
+    naming: _Naming,
+    account: _Account,
+    comparison: _Comparison,
+) -> Verdict:
+    """The verdict, but for the time that it took."""
+    problem = weighing.problem
+    values = naming.values
+    named = naming.hypothesis
+    numbers = system.numbers(naming.whole, values)
     if reference is not None:
         numbers = reference.widened(numbers, values)
-    doubts = system.doubts(values, gap) if values else ()
-    if error is not None:
-        inexact = (
-            "No explanation fits any channel. As models of real machines do, this one is taken to "
-            f"leave {np.sqrt((error**2).mean()):.3g} {system.unit}, most of them a function of a "
-            "channel's position and direction. The verdict names an effect that exceeds this "
-            "error. A reference, recorded when the machine was healthy, would show more.",
-        )
-        doubts, reasons = (inexact + doubts, reasons) if values else (doubts, inexact + reasons)
-    if doubts:
-        sure = min(ranked[0].probability, DOUBTED)
-        ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
-    stated = [replace(fitted_to_these[0], probability=ranked[0].probability), *ranked[1:]]
-    rows = of_effects.used
-    deviations = _rms((usual.floor / usual.weight)[rows])
-    gaps = system.channels(measured[0][rows], measured[1][rows], deviations)
-    channels = judged_channels(replace(problem, used=rows), explained, gaps, calibration)
-    effects = ranked[0].effects
-    probability = ranked[0].probability
-    if cannot_tell and coverage is not None:
+    inexact = _inexact(system, weighing)
+    doubts = (*inexact, *system.doubts(values, comparison.gap)) if values else ()
+    naming = naming.doubted(doubts)
+    effects = naming.ranked[0].effects
+    probability = naming.ranked[0].probability
+    if naming.insufficient is not None:
         effects = (CANNOT_TELL,)
-        group = effects
-        probability = 1.0 - min(channel.share for channel in coverage.by_channel.values())
-        experiment = coverage.experiment
-        reasons = changed
-    verdict = Verdict(
+        probability = 1.0 - min(each.share for each in naming.insufficient.by_channel.values())
+    return Verdict(
         effects=effects,
         probability=probability,
-        ambiguity_group=group,
-        next_experiment=experiment,
-        where=system.where(values, measured[0][used]),
+        ambiguity_group=account.group,
+        next_experiment=account.experiment,
+        where=system.where(values, comparison.residual[problem.used]),
         parameters=numbers,
-        shares=shares(of_effects, stated, values),
-        traded=tuple(trade.traded for trade in traded),
-        forms=system.forms(problem, best) if best else {},
-        tolerances_n=rest.tolerances,
-        unlisted=_unlisted(system, problem, ranked, explained_by.unlisted, beside, channels),
-        unexplained_n=rest.unexplained,
-        unexplained_share=rest.share,
-        gap=gap,
+        shares=shares(naming.changes, naming.stated, values),
+        traded=tuple(trade.traded for trade in account.traded),
+        forms=system.forms(problem, named) if named else {},
+        tolerances_n=account.remainder.tolerances,
+        unlisted=_unlisted(system, weighing, naming, comparison.channels),
+        unexplained_n=account.remainder.unexplained,
+        unexplained_share=account.remainder.share,
+        gap=comparison.gap,
         doubts=doubts,
-        reference=None if reference is None else _reference_gap(reference, coverage),
-        candidates=candidate_results(stated),
-        why=reasons,
-        seconds=time.monotonic() - began_s,
+        reference=_reference_gap(reference, weighing.expected.coverage),
+        candidates=candidate_results(naming.stated),
+        why=account.reasons if values else (*inexact, *account.reasons),
         recording=system.recording_name,
         rows=system.row_count,
         rows_used=len(problem.trial),
-        rows_counted=int(used.sum()),
+        rows_counted=int(problem.used.sum()),
         arm=system.name,
         unit=system.unit,
-        channels=channels,
+        channels=comparison.channels,
         compared=system.compared,
     )
-    progress("done", 1.0)
-    known = nuisance_posterior(of_effects, fitted or explained)
-    return Outcome(verdict, values, explained.nuisance, known, nominal, held_out)
+
+
+def _inexact(system: System, weighing: _Weighing) -> tuple[str, ...]:
+    """A sentence where the nominal model is taken to have an error."""
+    if weighing.model_error is None:
+        return ()
+    error = np.sqrt((weighing.model_error**2).mean())
+    return (
+        "No explanation fits any channel. As models of real machines do, this one is taken to "
+        f"leave {error:.3g} {system.unit}, most of them a function of a "
+        "channel's position and direction. The verdict names an effect that exceeds this "
+        "error. A reference, recorded when the machine was healthy, would show more.",
+    )
+
+
+def _reference_gap(reference: Reference | None, coverage: Coverage | None) -> ReferenceGap | None:
+    """The gap of a reference, and how much of the recording it covers."""
+    if reference is None:
+        return None
+    if coverage is None:
+        return reference.left
+    stated_coverage = {"covered_share": coverage.share, "coverage": dict(coverage.by_channel)}
+    return reference.left.model_copy(update=stated_coverage)
 
 
 def _gap_of(problem: Problem, held_out: Array, explained: Hypothesis | None) -> Gap:
@@ -288,31 +515,28 @@ def _gap_of(problem: Problem, held_out: Array, explained: Hypothesis | None) -> 
 
 
 def _unlisted(
-    system: System,
-    problem: Problem,
-    ranked: Sequence[Ranked],
-    probability: float,
-    beside: Beside | None,
-    channels: Mapping[str, ChannelGap],
+    system: System, weighing: _Weighing, naming: _Naming, channels: Mapping[str, ChannelGap]
 ) -> UnlistedBeside | None:
     """What acts beside the named effects; None where no effect is named."""
-    explained = ranked[0].hypothesis
-    if explained is None or not explained.effects:
+    named = naming.hypothesis
+    if named is None or not named.effects:
         return None
+    problem = weighing.problem
+    probability = weighing.explanations.unlisted
     acting = acting_channels(channels)
+    beside = naming.beside
     if beside is None:
         if not acting:
             return None
         in_one = max(gap.unlisted or 0.0 for gap in channels.values())
         return UnlistedBeside(probability=max(probability, in_one), channels=acting)
     acts = beside.extent.readings(problem)
-    trials = {system.trial_number(int(number)) for number in beside.extent.trials.nonzero()[0]}
-    residuals = (problem.readings - each for each in (problem.nominal, explained.held_out))
+    residuals = (problem.readings - each for each in (problem.nominal, named.held_out))
     before_n, after_n = (float(np.sqrt((each[acts] ** 2).mean())) for each in residuals)
     return UnlistedBeside(
         probability=probability,
         channels=acting,
-        trials=tuple(sorted(trials)),
+        trials=system.trial_labels(beside.extent.trials.nonzero()[0].tolist()),
         before_n=before_n,
         after_n=after_n,
     )

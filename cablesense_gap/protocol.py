@@ -52,8 +52,8 @@ _FROM_THE_ENDS = 1.0 / 6.0
 
 _STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
 _SLACKENING_SIDES = ("down", "to the right")
-_NEAR, _MIDDLE, _FAR = range(3)
-_UP = (0.25, 0.5, 0.75, 1.0)
+_NEAR_PLACE, _MIDDLE_PLACE, _FAR_PLACE = range(3)
+_RISING_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the peak at which a load that rises in steps is held."""
 _SPEED_RAD_S = float(np.deg2rad(5.0))
 """Of joints on their way: slow enough that the arm does not swing."""
@@ -86,7 +86,7 @@ class BlockKind(StrEnum):
     REVERSALS = "small reversals"
 
 
-_CYCLE = (0.0, *_UP, *_UP[::-1], 0.0)
+_CYCLE = (0.0, *_RISING_SHARES, *_RISING_SHARES[::-1], 0.0)
 _LEVELS: dict[BlockKind, tuple[Sequence[float], float | Sequence[float]]] = {
     BlockKind.LOAD_CYCLE: (_CYCLE, 1.0),
     BlockKind.SLACKENING: (_CYCLE, 1.0),
@@ -158,17 +158,17 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
         ),
         *(
             load(slackening, straight, tip, place, side, "straight")
-            for side, place in zip(_SLACKENING_SIDES, (_FAR, _NEAR), strict=True)
+            for side, place in zip(_SLACKENING_SIDES, (_FAR_PLACE, _NEAR_PLACE), strict=True)
         ),
-        load(steps, straight, tip, _MIDDLE, "to the left", "straight"),
+        load(steps, straight, tip, _MIDDLE_PLACE, "to the left", "straight"),
         _rest(straight, "straight, in the middle"),
         *_single_sweeps(arm, reach_rad),
         _joint_sweep(arm.joint_count, reach_rad, 1.0),
         _reversals(straight, "straight"),
         _move(straight, bent, f"to the {first}"),
         *(load(slackening, bent, n, n, "down and to the left", first) for n in segments),
-        load(hold, bent, tip, _MIDDLE, "down and to the right", first),
-        load(steps, bent, 1, _MIDDLE, "down", first),
+        load(hold, bent, tip, _MIDDLE_PLACE, "down and to the right", first),
+        load(steps, bent, 1, _MIDDLE_PLACE, "down", first),
         _reversals(bent, first),
         _move(bent, -bent, f"to the {second}, the mirror of the first"),
         *(load(slackening, -bent, n, n + 1, "down and to the right", second) for n in segments),
@@ -338,7 +338,7 @@ def _load(
     slacken = kind is BlockKind.SLACKENING
     peak_n = bearable_load_n(arm, command, segment, direction, at_m, slacken=slacken)
     shares, each_s = _LEVELS[kind]
-    levels = ", ".join(f"{share * peak_n:.3g}" for share in _UP)
+    levels = ", ".join(f"{share * peak_n:.3g}" for share in _RISING_SHARES)
     place = f"segment {segment}, {1e3 * at_m:.0f} mm from its joint"
     cycle = f"load {place}, {side}, {levels} N, and back"
     does = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -21,9 +20,6 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine, alike, still
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
-from cablesense_contact.inference.law_model import LawModel
-from cablesense_contact.inference.metadata import ANYWHERE
-from cablesense_contact.inference.model_file import read_model
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
@@ -62,17 +58,6 @@ class ArmLaw(Law, Protocol):
 
 KnownLaw: TypeAlias = ArmLaw | MachineLaw
 """The law of an arm, or of a machine that MuJoCo describes."""
-
-
-def open_estimator(path: str | Path, arm: Arm | None = None) -> LawModel | Estimator:
-    """Open a model of single contacts, for a certain arm where one is given.
-
-    Raises:
-        ModelFileError: the file is no such model, or not one of this arm.
-    """
-    if read_model(path)[1].kind == ANYWHERE:
-        return LawModel(path, arm)
-    return Estimator.load(path, arm)
 
 
 def arm_of(estimator: ArmLaw | Estimator) -> Arm:
@@ -200,7 +185,10 @@ def loads_at_m(recording: Recording, arm: Arm) -> Array:
 
 
 def _places_m(recording: Recording, machine: FeltMachine) -> Array:
-    """(R,) where each load acts on its link, along its axis; see `loads_at_m` for an arm."""
+    """(R,) where each load acts on its link, along its axis; the machine file's place by default.
+
+    Of an arm, effects that move contact points move the loads.
+    """
     if isinstance(machine, FeltArm):
         return loads_at_m(recording, machine.arm)
     at_m = np.asarray(machine.contact_m)[np.maximum(recording.load_segment, 1) - 1]
@@ -368,7 +356,10 @@ class RecordedMachine:
         calibration: Calibration | None = None,
         trials: Collection[int] | None = None,
     ) -> None:
-        """See `recorded_errors` for the calibration; `trials` are those whose rows it may use."""
+        """Take the law, and a `calibration` of the machine.
+
+        Without one it is made from unloaded poses, those of the `trials` if given.
+        """
         self._recording = recording
         self._tares = tares
         self._law = law

@@ -31,7 +31,7 @@ from cablesense_gap.simulator import Assignment, Simulator, Term, predicted_chan
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import FittedNumber, ReferenceGap
 
-_LEAST = 1e-9
+_LEAST_COLUMN_RMS = 1e-9
 """Added to the RMS of a column, so that none is divided by zero; columns are about 1."""
 _UNCOVERED_WEIGHT = 1e-6
 """Of readings that the reference does not cover: none, but for dividing by it again."""
@@ -113,7 +113,7 @@ def expected_of_inexact_model(
     waves = SmoothColumns.like(conditions).waves(conditions)
     variance = np.array([1.0 / (1.0 + half_waves) for half_waves, _, _ in waves])
     columns = np.array([system.compared_columns(wave) for _, _, wave in waves])
-    columns /= np.sqrt((columns**2).mean(1, keepdims=True)) + _LEAST
+    columns /= np.sqrt((columns**2).mean(1, keepdims=True)) + _LEAST_COLUMN_RMS
     columns *= np.sqrt(variance / variance.sum())[:, None, None] * error
     best = min(found, key=lambda each: each.held_out_rmse)
     parts, deviation = TwoParts.of(
@@ -236,7 +236,7 @@ class Reference:
         at_readings = conditions
         if conditions is not None:
             counts = np.abs(system.compared_columns(np.ones_like(conditions.position)))
-            whole = np.maximum(counts, _LEAST)
+            whole = np.maximum(counts, _LEAST_COLUMN_RMS)
             at_readings = Conditions(*(system.compared_columns(q) / whole for q in conditions))
         counts = np.minimum(counts, 1.0) * system.counted[:, None]
         return coverage_of(covered, counts, at_readings, self._smooth, system.condition_units())
@@ -264,7 +264,7 @@ class _Weighted:
         self.tolerances = simulator.tolerances
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """As of the simulator with the expected residual, times the weight (R, C)."""
+        """Channels (P, R, C) of P variants with the expected residual, times its weight (R, C)."""
         predicted = self._simulator.predict(variants)
         moving = self._expected.moving
         if moving is not None:
@@ -275,7 +275,7 @@ class _Weighted:
         return self._expected.weighted(predicted)
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
-        """As of the simulator with the expected residual, times the weight."""
+        """Changes (P, R, C) of these by small differences from a base."""
         if self._expected.moving is not None:
             return predicted_changes(self, base, variants)
         return self._expected.weighted(small_changes(self._simulator, base, variants))

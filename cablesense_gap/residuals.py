@@ -47,7 +47,7 @@ _LOAD_TOLERANCE = 0.05
 """Share of a trial's peak by which a measured load must move before it counts as moved."""
 _MOVED_RAD = 1e-5
 """Change of a command from row to row from which on the arm moves."""
-_LARGER = 1.4
+_LARGER_TIMES = 1.4
 """Times the RMS of the rest of its group that a regime has: twice the mean square."""
 _ABOVE_FLOORS = 2.0
 """Noise floors (RMS) that a regime has at least."""
@@ -276,7 +276,7 @@ def regimes(decomposition: Decomposition) -> list[str]:
                 others
                 and part.count >= _FEWEST_ROWS
                 and part.over_floor >= _ABOVE_FLOORS
-                and part.rms_n >= _LARGER * np.sqrt(square / rows)
+                and part.rms_n >= _LARGER_TIMES * np.sqrt(square / rows)
             ):
                 name = part.member.replace("_", " ")
                 clear.append((part.rms_n, name if name == "no load" else text.format(name)))

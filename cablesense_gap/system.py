@@ -63,7 +63,9 @@ class System(ABC):
         trial: (R,) number of each row's trial, or of its part of one.
         fold: (T,) fold of each of them, in the order of their numbers.
         counted: (R,) rows that count in fits and sizes.
-        candidates, tolerances, floor: see `Simulator`.
+        candidates: effects to choose among.
+        tolerances: manufacturing tolerances; each parameter's `typical` is its standard deviation.
+        floor: RMS of what the sensors add to a perfect reading.
         unit: of the channels.
         far_off: standard deviations beyond which one tolerance imitates an effect.
         scale: the factor (C,) by which readings are multiplied for units that all recordings of
@@ -88,7 +90,10 @@ class System(ABC):
 
     @abstractmethod
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """Channels (P, R, C) of P variants, see `Simulator`."""
+        """Channels (P, R, C) of P variants, all with the same terms, without noise.
+
+        NaN where the machine cannot be simulated with these numbers.
+        """
 
     def past(self) -> Past | None:
         """By how much readings depend on the past; None if unknown."""
@@ -188,9 +193,13 @@ class System(ABC):
         """
         return (np.arange(self.readings.shape[1]),)
 
-    def trial_number(self, part: int) -> int:
-        """The recording's number of a trial, of which `trial` has the part."""
-        return int(np.unique(self.trial)[part])
+    def trial_labels(self, parts: Sequence[int]) -> tuple[int | str, ...]:
+        """What the recording's user knows some trials by, each once.
+
+        `parts` are those of `trial`, counted from 0 in the order of their numbers.
+        """
+        numbers = np.unique(self.trial)[list(parts)]
+        return tuple(numbers.tolist())
 
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """Gaps by channel in their own units, in the order of the channels; may be empty.

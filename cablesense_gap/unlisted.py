@@ -50,7 +50,7 @@ _RECENT_S = 10.0
 """Time constant of what fades after a change of command or load."""
 _STILL_M = 1e-9
 """Length of cable that counts as none from one row to the next."""
-_LEAST = 1e-12
+_LEAST_SQUARE_N2 = 1e-12
 """Mean square that counts as zero, N²."""
 _MOST_OF_SQUARE = 0.8
 """Share of the mean square that the cables hold which are named."""
@@ -60,11 +60,11 @@ _AGAINST_TIMES_CHANCE = 0.3
 """The same, up to which they change against each other."""
 _WITHOUT_TORQUE = 0.6
 """Share of the modes without a torque from which on single cables are the cause."""
-_DEPENDS = 0.3
+_DEPENDING_SHARE = 0.3
 """Share of a residual that one group of features must explain to be named."""
-_REPRODUCIBLE = 0.2
+_REPRODUCIBLE_SHARE = 0.2
 """Share of a residual that a flexible model must explain for it to be reproducible."""
-_GROWTH = 2.0
+_GROWTH_TIMES = 2.0
 """Times the residual at the smallest loads, from which on it grows with the load."""
 _LOOP_SHARE = 0.4
 """Share of the residual that the difference of loading and unloading must have."""
@@ -77,7 +77,7 @@ _WAVE_SHARE = 0.25
 _JOINT_FOR_CABLES = 0.7
 """Share of what waves of all cables explain from which on a joint's wave, which is simpler, is
 named."""
-_RANK = 1e-9
+_RANK_RATIO = 1e-9
 """Relative singular value that counts as zero."""
 _STEP_ENDS = 0.05
 """Share of the rows at either end where a step cannot be told from a few unusual rows."""
@@ -93,7 +93,7 @@ _NAMED_CABLES = 3
 """Cables that a sentence names at most."""
 _TRIAL_ROWS = 10
 """Rows of a trial that is worth repeating."""
-_SAME_SIDE = 0.9
+_SAME_SIDE_COSINE = 0.9
 """Cosine of the angle between a load and a named side from which on the load is from there."""
 ONE_AT_A_TIME = (
     "Record again under the conditions that are named above, and change one thing at a time: "
@@ -157,7 +157,7 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     load_names = [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
     load = dict(zip(load_names, loads_n.T, strict=True))
     load["size of the load"] = np.linalg.norm(forces_n, axis=-1).sum(-1)
-    places_m = recording.inputs[3]
+    places_m = recording.course.places_m
     if places_m is not None:
         beyond_m = np.nan_to_num(places_m - mechanism_of(arm).contact_m, nan=0.0)
         moments = (beyond_m[..., None] * forces_n).reshape(len(recording), -1)
@@ -245,7 +245,7 @@ def _cables(parts: Decomposition) -> str:
 def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
     """How the cables of one segment change together, if chance hardly makes it so."""
     square = (segment_modes_n(residual_n, arm) ** 2).sum(axis=(0, 1))
-    share = square / max(square.sum(), _LEAST)
+    share = square / max(square.sum(), _LEAST_SQUARE_N2)
     chance = 1.0 / arm.cables.per_segment
     if share[0] >= _ALIKE_TIMES_CHANCE * chance:
         yield (
@@ -266,13 +266,13 @@ def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
 
 def _dependence(found: FlexibleModel) -> Iterator[str]:
     group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
-    if share >= _DEPENDS:
+    if share >= _DEPENDING_SHARE:
         yield (
             f"It depends on {_GROUPS.get(group, group)}, most clearly on "
             f"{_plain(found.foremost)}: a flexible model of that alone predicts {share:.0%} of it "
             "on held-out trials."
         )
-    elif found.explained_share < _REPRODUCIBLE:
+    elif found.explained_share < _REPRODUCIBLE_SHARE:
         yield (
             f"It is not reproducible: a flexible model predicts "
             f"{max(found.explained_share, 0.0):.0%} of it on held-out trials. Random events have "
@@ -282,7 +282,7 @@ def _dependence(found: FlexibleModel) -> Iterator[str]:
 
 def _load(parts: Decomposition) -> Iterator[str]:
     levels = parts.of_group(LEVEL)
-    if len(levels) > 1 and levels[-1].rms_n >= _GROWTH * levels[0].rms_n:
+    if len(levels) > 1 and levels[-1].rms_n >= _GROWTH_TIMES * levels[0].rms_n:
         items = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
         yield f"It grows with the load: {listed(items)}."
     for loop in parts.of_group(LOOP):
@@ -310,7 +310,7 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
     products = [one * other for one, other in combinations_with_replacement(moved.T, 2)]
     columns = np.column_stack([np.ones(len(moved)), moved, *products])
     directions, size, _ = np.linalg.svd(columns, full_matrices=False)
-    smooth = directions[:, size > _RANK * size[0]]
+    smooth = directions[:, size > _RANK_RATIO * size[0]]
     rest = residual - smooth @ (smooth.T @ residual)
     if np.sqrt((rest**2).mean()) < _WAVE_FLOORS * floor_n:
         return
@@ -357,7 +357,7 @@ def _steps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     centred = residual_n - residual_n.mean(0)
     weight = (rows * (count - rows) / count)[:, None]
     apart_n = -np.cumsum(centred, axis=0)[:-1] / weight
-    explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), _LEAST)
+    explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), _LEAST_SQUARE_N2)
     ends = (rows <= _STEP_ENDS * count) | (rows >= (1.0 - _STEP_ENDS) * count)
     explained[ends] = 0.0
     step_rows = explained.argmax(0)
@@ -441,7 +441,7 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
         sides = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, half, half)}
         along = {name: float(np.dot(side, direction)) for name, side in sides.items()}
         side = max(along, key=lambda name: along[name])
-        if along[side] <= _SAME_SIDE:
+        if along[side] <= _SAME_SIDE_COSINE:
             numbers = ", ".join(f"{part:.2f}" for part in direction)
             side = f"along ({numbers}) of the base frame"
         return (

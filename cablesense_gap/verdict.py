@@ -185,7 +185,8 @@ class UnlistedBeside(FilePart):
     Attributes:
         probability: that it is there.
         channels: in which it acts, more probably than not.
-        trials: of the recording, if it acts in these alone.
+        trials: of the recording, if it acts in these alone: numbers in the file, or number and
+            file where a robot's recording has several.
         before_n: RMS gap of the nominal machine in the readings that are left to it; none if
             the named effects are weighed by all readings.
         after_n: the same with the named effects.
@@ -193,7 +194,7 @@ class UnlistedBeside(FilePart):
 
     probability: Probability
     channels: tuple[ChannelName, ...] = ()
-    trials: tuple[int, ...] = ()
+    trials: tuple[int | str, ...] = ()
     before_n: Newtons | None = None
     after_n: Newtons | None = None
 

@@ -11,6 +11,7 @@ from cablesense_base import Array
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_msgs_py.messages import Level, Load, read_load
 from cablesense_msgs_py.topics import Frames
+from cablesense_online.acting_loads import ActingLoads
 from cablesense_online.placed_links import PlacedLinks, contact_frames
 from cablesense_online.simulation import SimulationHealth, SimulationSettings
 from cablesense_sim.joint_motion import JointMotion
@@ -48,8 +49,7 @@ class MachineSimulation:
         self.joint_names: Sequence[str] = machine.coordinates.names
         self.largest_command = self._felt.largest_command
         self.rate_hz = settings.rate_hz or _RATE_HZ
-        self._load_timeout_s = settings.load_timeout_s
-        self._loads: dict[int, tuple[Load, float]] = {}
+        self._acting = ActingLoads(settings.load_timeout_s)
         parameters = MachineParameters(machine)
         theta = np.zeros(len(parameters))
         if settings.built_seed >= 0:
@@ -72,7 +72,7 @@ class MachineSimulation:
     @property
     def loads(self) -> Sequence[Load]:
         """Those that act."""
-        return [load for _, (load, _) in sorted(self._loads.items())]
+        return self._acting.loads
 
     @property
     def joint_positions(self) -> Array:
@@ -131,18 +131,14 @@ class MachineSimulation:
                     f"{first_m:.4f} to {last_m:.4f} m along its axis"
                 )
             place_m = min(max(place_m, first_m), last_m)
-        self._loads.pop(load.segment, None)
-        if load.force_base_n.any():
-            self._loads[load.segment] = Load(load.segment, load.force_base_n, place_m), now_s
+        self._acting.put(Load(load.segment, load.force_base_n, place_m), now_s)
 
     def advance_to(self, now_s: float) -> None:
         """Move on to a time, and come to rest there."""
         if self._motion.moving:
             self._motion = self._motion.after(now_s - self._now_s)
         self._now_s = now_s
-        for link, (_, since_s) in list(self._loads.items()):
-            if 0.0 < self._load_timeout_s < now_s - since_s:
-                del self._loads[link]
+        self._acting.ended(now_s)
         forces = [
             LinkForce(load.segment - 1, self._point_m(load), load.force_base_n)
             for load in self.loads

@@ -8,6 +8,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Load
+from cablesense_online.acting_loads import ActingLoads
 from cablesense_sim.arm import Sensors
 from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics
 from cablesense_sim.effects.effect import Sensing
@@ -85,8 +86,7 @@ class SimulatedArm:
         self._motion = JointMotion.at_rest(dynamics.command_rad, joint_speed_rad_s)
         still = np.zeros(dynamics.arm.cable_count)
         self._offset_motion = JointMotion.at_rest(still, _OFFSET_SPEED_M_S)
-        self._load_timeout_s = load_timeout_s
-        self._loads: dict[int, tuple[Load, float]] = {}
+        self._acting = ActingLoads(load_timeout_s)
         self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
         self._sensings = sensings
         self._began_s = now_s
@@ -117,17 +117,13 @@ class SimulatedArm:
             LoadError: no such segment or place.
         """
         self._dynamics.load(load.segment, load.force_base_n, load.contact_m)
-        self._loads[load.segment] = (load, now_s)
-        if not load.force_base_n.any():
-            del self._loads[load.segment]
+        self._acting.put(load, now_s)
 
     def advance_to(self, now_s: float) -> None:
         """Advance the simulation to `now_s`."""
         self._now_s = now_s
-        for segment, (_, since_s) in list(self._loads.items()):
-            if 0.0 < self._load_timeout_s < now_s - since_s:
-                self._dynamics.load(segment, np.zeros(3))
-                del self._loads[segment]
+        for segment in self._acting.ended(now_s):
+            self._dynamics.load(segment, np.zeros(3))
         due = self.pacer.steps_due(now_s)
         # an arm that comes to rest when it is read needs no set-points in between
         steps = due if isinstance(self._dynamics, ArmQuasiStatics) else 1
@@ -145,7 +141,7 @@ class SimulatedArm:
             self._dynamics.advance(due * self._timestep_s)
         if not np.isfinite(self._dynamics.tensions_n).all():
             self._dynamics.reset(self._dynamics.command_rad)
-            self._loads.clear()
+            self._acting.clear()
             self.resets += 1
 
     def reading_n(self, sensors: Sensors, rng: np.random.Generator | None) -> Array:
@@ -164,4 +160,4 @@ class SimulatedArm:
     @property
     def loads(self) -> list[Load]:
         """The loads that act, by segment."""
-        return [load for _, (load, _) in sorted(self._loads.items())]
+        return self._acting.loads

@@ -155,6 +155,25 @@ def write_table(path: str | Path, columns: Mapping[str, Any], float_format: str)
         )
 
 
+def stacked(values: Mapping[str, Array], names: Sequence[str]) -> Array:
+    """(R, K) the columns (R,) of K names, side by side."""
+    return np.stack([values[name] for name in names], axis=1)
+
+
+def whole_numbers(path: Path, name: str, column: Array) -> NDArray[np.int64]:
+    """(R,) a column of a file that holds whole numbers.
+
+    Raises:
+        RecordingError: one is not whole, or beyond 1e9.
+    """
+    bad = np.flatnonzero(~(column == np.round(column)) | (np.abs(column) > 1e9))
+    if bad.size:
+        raise RecordingError(
+            f"{path}: row {bad[0] + 1}, column {name}: {column[bad[0]]:g} is no whole number"
+        )
+    return column.astype(np.int64)
+
+
 def read_csv(path: str | Path, machine: Described) -> Recording:
     """Read a recording of a machine. Only the form is checked here, the content by `checks`.
 
@@ -168,28 +187,16 @@ def read_csv(path: str | Path, machine: Described) -> Recording:
     layout = layout_of(machine)
     values = _columns_of(path, layout)
 
-    def stacked(names: Sequence[str]) -> Array:
-        return np.stack([values[name] for name in names], axis=1)
-
-    def whole(name: str) -> NDArray[np.int64]:
-        column = values[name]
-        bad = np.flatnonzero(~(column == np.round(column)) | (np.abs(column) > 1e9))
-        if bad.size:
-            raise RecordingError(
-                f"{path}: row {bad[0] + 1}, column {name}: {column[bad[0]]:g} is no whole number"
-            )
-        return column.astype(np.int64)
-
     time_s = values[TIME]
-    command = stacked(layout.command_columns)
+    command = stacked(values, layout.command_columns)
     segment = np.zeros(len(time_s), dtype=np.int64)
     load_n = np.zeros((len(time_s), 3))
     if LOAD_SEGMENT in values:
-        segment = whole(LOAD_SEGMENT)
-        load_n = stacked(LOAD)
+        segment = whole_numbers(path, LOAD_SEGMENT, values[LOAD_SEGMENT])
+        load_n = stacked(values, LOAD)
     place_m = given_places(values.get(LOAD_AT))
     if TRIAL in values:
-        trial = whole(TRIAL)
+        trial = whole_numbers(path, TRIAL, values[TRIAL])
     else:
         trial = derive_trials(time_s, command, segment, load_n, place_m)
     return Recording(
@@ -199,7 +206,7 @@ def read_csv(path: str | Path, machine: Described) -> Recording:
         command_rad=command,
         load_segment=segment,
         load_n=load_n,
-        tensions_n=stacked(layout.reading_columns),
+        tensions_n=stacked(values, layout.reading_columns),
         load_at_m=place_m,
     )
 

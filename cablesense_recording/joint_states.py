@@ -23,7 +23,7 @@ from cablesense_base import Array, some_of
 from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
 from cablesense_recording.channels import TIME, TRIAL, Kind, RobotChannels, composed, pose_labels
 from cablesense_recording.mcap_file import TOPIC_OPTION, decoded
-from cablesense_recording.mcap_messages import RawMessage
+from cablesense_recording.mcap_messages import CountedMessages, RawMessage
 from cablesense_recording.pose_messages import POSE_TYPES, FramePoses, frame_poses
 from cablesense_recording.recording import MAX_NUMBERS, RecordingError, one_clock
 
@@ -36,7 +36,7 @@ _OTHER_CLOCK_S = 0.1
 
 
 @dataclass
-class _Source:
+class _Source(CountedMessages):
     """Messages of one topic that name the same joints, in the order they came.
 
     Attributes:
@@ -45,7 +45,6 @@ class _Source:
         joints: numbers of the robot's joints among them.
         places: where these stand in a message.
         has_efforts: whether its messages have efforts.
-        counts: the count of all messages at each of these, and its time of arrival and stamp, ns.
         numbers: positions, then efforts, of `joints` by message.
     """
 
@@ -54,16 +53,9 @@ class _Source:
     joints: tuple[int, ...]
     places: tuple[int, ...]
     has_efforts: bool
-    counts: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
 
     def __len__(self) -> int:
         return len(self.counts) // 3
-
-    @property
-    def counts_and_times(self) -> NDArray[np.int64]:
-        """(R, 3) count of all messages, time of arrival and stamp, ns."""
-        return np.array(self.counts, dtype=np.int64).reshape(-1, 3)
 
     @property
     def values(self) -> Array:

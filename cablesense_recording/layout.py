@@ -131,7 +131,7 @@ def layout_of(machine: Described) -> Layout:
 
 
 class ArmLayout:
-    """Of an arm: `q1_cmd_rad` …, `tension_1_n` …; see `Layout`."""
+    """Channels, commands and links of an arm: `tension_1_n` …, `q1_cmd_rad` …, `segment_1` …."""
 
     command_topic = topics.JOINT_COMMANDS
     needs_labels = True
@@ -161,7 +161,10 @@ class ArmLayout:
         return is_command or column.startswith("tension_")
 
     def load_of(self, message: Any, command: Array | None) -> Load:
-        """See `Layout`; in the base frame the torque says where the load acts."""
+        """The load on a segment in a `WrenchStamped`, at a command (2N,), straight where none was.
+
+        In the base frame the torque says where the load acts.
+        """
         frames = _frames(message.header.frame_id, self.link_names)
         pose_rad = np.zeros(self._arm.joint_count) if command is None else command
         mechanism = mechanism_of(self._arm)
@@ -180,7 +183,11 @@ class ArmLayout:
 
 
 class MachineLayout:
-    """Of a machine that MuJoCo describes: `command.JOINT`, `tension.TENDON`; see `Layout`."""
+    """Channels, commands and links of a machine that MuJoCo describes, by its model's names.
+
+    Columns are `command.JOINT`, or `position.JOINT` where joints are measured, `tension.TENDON`
+    and `torque.JOINT`.
+    """
 
     needs_labels = False
     largest_command = _LARGEST_COMMAND
@@ -208,7 +215,7 @@ class MachineLayout:
         return False
 
     def load_of(self, message: Any, command: Array | None) -> Load:
-        """See `Layout`; in the frame of its link, as the simulated machine takes loads."""
+        """The load on a link in a `WrenchStamped`, which is in the frame of that link."""
         del command
         return read_load(message, _frames(message.header.frame_id, self.link_names))
 

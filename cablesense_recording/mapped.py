@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_base.files import plain_name
 from cablesense_recording.column_map import ColumnMap, NamedColumns
-from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table, stacked, whole_numbers
 from cablesense_recording.first_command import FirstCommand
 from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.mcap_file import decoded, is_bag
@@ -71,17 +71,17 @@ def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     segment = np.zeros(count, dtype=np.int64)
     load_n = np.zeros((count, 3))
     if loads is not None:
-        segment = _whole(path, loads.segment, values[loads.segment])
-        load_n = _stacked(values, loads.force) * FORCE_UNITS[loads.unit]
+        segment = whole_numbers(path, loads.segment, values[loads.segment])
+        load_n = stacked(values, loads.force) * FORCE_UNITS[loads.unit]
         if loads.at in values:
             place_m = given_places(values[loads.at] * LENGTH_UNITS[loads.at_unit])
-    trial = _whole(path, columns.trial, values[columns.trial]) if columns.trial else None
+    trial = whole_numbers(path, columns.trial, values[columns.trial]) if columns.trial else None
     held_rad = np.tile(columns.commands.held, (count, 1)) * columns.per_command
     return _recording(
         csv_stem(path),
         time * columns.seconds,
-        _stacked(values, commands) * columns.per_command if commands else held_rad,
-        _stacked(values, tensions) * columns.per_reading,
+        stacked(values, commands) * columns.per_command if commands else held_rad,
+        stacked(values, tensions) * columns.per_reading,
         segment,
         load_n,
         place_m,
@@ -161,7 +161,16 @@ def _recording(
 ) -> Recording:
     if trial is None:
         trial = derive_trials(time_s, command_rad, segment, load_n, place_m)
-    return Recording(name, time_s, trial, command_rad, segment, load_n, tensions_n, place_m)
+    return Recording(
+        name=name,
+        time_s=time_s,
+        trial=trial,
+        command_rad=command_rad,
+        load_segment=segment,
+        load_n=load_n,
+        tensions_n=tensions_n,
+        load_at_m=place_m,
+    )
 
 
 def _numbers(
@@ -196,16 +205,3 @@ def _numbers(
 def _stamp_ns(message: Any) -> int:
     header = getattr(message, "header", None)
     return 0 if header is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-
-
-def _stacked(values: dict[str, Array], names: Sequence[str]) -> Array:
-    return np.stack([values[name] for name in names], axis=1)
-
-
-def _whole(path: Path, name: str, column: Array) -> NDArray[np.int64]:
-    bad = np.flatnonzero(~(column == np.round(column)) | (np.abs(column) > 1e9))
-    if bad.size:
-        raise RecordingError(
-            f"{path}: row {bad[0] + 1}, column {name}: {column[bad[0]]:g} is no whole number"
-        )
-    return column.astype(np.int64)

@@ -138,16 +138,16 @@ class BagRows:
         name = plain_name(path.stem)
         notes = (odd,) if odd else ()
         return Recording(
-            name,
-            time_s,
-            trials,
-            command,
-            segments,
-            load_n,
-            tensions_n,
-            at_m,
-            (*notes, *self._first_command.notes),
-            self._first_command.comes_inside,
+            name=name,
+            time_s=time_s,
+            trial=trials,
+            command_rad=command,
+            load_segment=segments,
+            load_n=load_n,
+            tensions_n=tensions_n,
+            load_at_m=at_m,
+            notes=(*notes, *self._first_command.notes),
+            commanded_inside=self._first_command.comes_inside,
         )
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:

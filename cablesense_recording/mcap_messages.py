@@ -12,15 +12,17 @@ from __future__ import annotations
 import os
 import shutil
 import struct
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base.files import output_file
 from cablesense_msgs_py.qos import Qos
@@ -315,6 +317,24 @@ class TopicFile:
         except OSError as error:
             why = error.strerror or error
             raise RecordingError(f"{self._path}: cannot be written ({why})") from error
+
+
+@dataclass
+class CountedMessages:
+    """Messages of one kind in the order they came, as plain arrays: objects take four times more.
+
+    Attributes:
+        counts: by message the count of all messages, its time of arrival and its stamp, ns.
+        numbers: of all messages, one after the other.
+    """
+
+    counts: array[int] = field(default_factory=lambda: array("q"), kw_only=True)
+    numbers: array[float] = field(default_factory=lambda: array("d"), kw_only=True)
+
+    @property
+    def counts_and_times(self) -> NDArray[np.int64]:
+        """(R, 3) count of all messages, time of arrival and stamp, ns."""
+        return np.array(self.counts, dtype=np.int64).reshape(-1, 3)
 
 
 def _profile(qos: Qos) -> Any:

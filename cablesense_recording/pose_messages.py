@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_recording.mcap_file import TOPIC_OPTION, decoded
-from cablesense_recording.mcap_messages import RawMessage
+from cablesense_recording.mcap_messages import CountedMessages, RawMessage
 from cablesense_recording.recording import MAX_NUMBERS, RecordingError
 
 _POSE: Final = "geometry_msgs/msg/PoseStamped"
@@ -26,27 +24,19 @@ _WIDTH = 7
 
 
 @dataclass
-class FramePoses:
+class FramePoses(CountedMessages):
     """The poses of one frame from one topic, in the order they came.
 
     Attributes:
         topic: full name.
         frame: of the model.
         parent: the frame in whose axes the poses are, as the messages name it.
-        counts: by message its number, when it came, and its stamp, ns.
         numbers: by message the place, m, and the quaternion w x y z.
     """
 
     topic: str
     frame: str
     parent: str
-    counts: array[int] = field(default_factory=lambda: array("q"))
-    numbers: array[float] = field(default_factory=lambda: array("d"))
-
-    @property
-    def counts_and_times(self) -> NDArray[np.int64]:
-        """(R, 3) number of the message, time of arrival and stamp, ns."""
-        return np.array(self.counts, dtype=np.int64).reshape(-1, 3)
 
     @property
     def poses(self) -> Array:

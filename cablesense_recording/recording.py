@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
+from cablesense_sim.course import Course
 
 _STILL_S = 1.0
 """A command that has not changed for this long stands still."""
@@ -107,14 +108,11 @@ class Recording:
         return self._loaded[..., None] * self.load_n[:, None, :]
 
     @property
-    def inputs(self) -> tuple[Array, Array, Array, Array | None]:
-        """Times, commands, loads and their places, as `cablesense_sim.replay.Replay` takes them.
-
-        Places are (R, N), NaN for the arm file's `contact_m`; None where no row states one.
-        """
+    def course(self) -> Course:
+        """What the arm was put through, as `cablesense_sim.replay.Replay` takes it."""
         at_m = self.load_at_m
         places_m = None if at_m is None else np.where(self._loaded, at_m[:, None], np.nan)
-        return self.time_s, self.command_rad, self.forces_n, places_m
+        return Course(self.time_s, self.command_rad, self.forces_n, places_m)
 
     @property
     def _loaded(self) -> NDArray[np.bool_]:

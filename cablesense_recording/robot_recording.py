@@ -65,6 +65,9 @@ _LEAST_SPEED = 0.005
 
 _Columns = dict[str, Array]
 
+TrialLabel = int | str
+"""A trial's number in the user's file, or that and the file's name."""
+
 
 @dataclass(frozen=True)
 class RobotRecording:
@@ -80,6 +83,7 @@ class RobotRecording:
         command: (R, A) of the actuators' inputs; NaN for those without.
         notes: what was read, what was changed, and what is odd, as sentences.
         efforts: (J,) what the torques were recorded as; torques where it is empty.
+        trial_labels: (T,) what the files call each trial, as of `trial_label`.
     """
 
     name: str
@@ -90,6 +94,16 @@ class RobotRecording:
     command: Array
     notes: tuple[str, ...] = ()
     efforts: tuple[Effort, ...] = ()
+    trial_labels: tuple[TrialLabel, ...] = ()
+
+    def trial_label(self, trial: int) -> TrialLabel:
+        """What the recording's user knows a trial by, one of `trial`.
+
+        Its number in the file, with the file's name where there are several, as `3 of run_2.csv`.
+        Parts of one trial have one label. A file without numbers has its trials counted from 0;
+        so has a recording that was read from none.
+        """
+        return self.trial_labels[trial] if self.trial_labels else trial
 
     @property
     def stated_efforts(self) -> tuple[bool, ...]:
@@ -115,16 +129,21 @@ class _Part:
     Attributes:
         path: of it.
         first_row: number of the first row that is used, from 1.
-        numbered: whether trials have numbers.
         columns: time_s (R,), trial (R,), position (R, J), torque (R, J), command (R, A).
         notes: what was changed, as sentences.
+        stated_trial: (R,) the file's own numbers of trials, where it has some.
     """
 
     path: Path
     first_row: int
-    numbered: bool
     columns: _Columns
     notes: tuple[str, ...]
+    stated_trial: Array | None
+
+    @property
+    def numbered(self) -> bool:
+        """Whether trials have numbers."""
+        return self.stated_trial is not None
 
 
 def read_robot_recording(
@@ -206,6 +225,7 @@ def read_robot_recording(
         command=every["command"],
         notes=(*notes, note),
         efforts=channels.efforts,
+        trial_labels=tuple(_trial_labels(parts, trial)),
     )
 
 
@@ -363,7 +383,13 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         "torque": stacked(Kind.TORQUE),
         "command": stacked(Kind.COMMAND),
     }
-    return _Part(path, begin + 1, numbered, columns, tuple(notes))
+    return _Part(
+        path=path,
+        first_row=begin + 1,
+        columns=columns,
+        notes=tuple(notes),
+        stated_trial=table[TRIAL][used] if numbered else None,
+    )
 
 
 def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
@@ -409,9 +435,9 @@ def _returning(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
     values, counts = np.unique(numbers[starts], return_counts=True)
     if not (counts > 1).any():
         return []
+    number = _plain_number(values[counts > 1][0])
     return [
-        f"Trial {values[counts > 1][0]:g} comes back after another one; its parts count as trials "
-        "of their own."
+        f"Trial {number} comes back after another one; its parts count as trials of their own."
     ]
 
 
@@ -446,6 +472,25 @@ def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
         trial = _cut(np.concatenate([part.columns[TIME] for part in parts]), trial)
         how += f", {begin} in all, cut into {int(trial.max()) + 1} stretches"
     return trial, f"Trials {how}."
+
+
+def _trial_labels(parts: Sequence[_Part], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
+    """The label of each of the trials (R,) of all parts, as of `RobotRecording.trial_label`."""
+    first_row = 0
+    for part in parts:
+        of_part = trial[first_row : first_row + len(part.columns[TIME])]
+        first_row += len(of_part)
+        _, first_rows = np.unique(of_part, return_index=True)
+        for count, row in enumerate(first_rows):
+            number: TrialLabel = count
+            if part.stated_trial is not None:
+                number = _plain_number(part.stated_trial[row])
+            yield number if len(parts) == 1 else f"{number} of {part.path.name}"
+
+
+def _plain_number(value: float) -> TrialLabel:
+    """A number as files state it: whole where it is."""
+    return int(value) if float(value).is_integer() else f"{value:.12g}"
 
 
 def _by_pauses(time_s: Array, position: Array, leap: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ from .arm import load_arm as load_arm
 from .arm import open_arm as open_arm
 from .arm import parse_arm as parse_arm
 from .build import mechanism_of as mechanism_of
+from .course import Course as Course
 from .dynamics import moving_arm as moving_arm
 from .effects.effect import Actuation as Actuation
 from .effects.effect import Effect as Effect

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array
 from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.course import Course
 from cablesense_sim.effects.effect import Actuation, Sensing
 from cablesense_sim.effects.registry import (
     EffectEntry,
@@ -46,7 +47,7 @@ _ARMS_KEPT = 4  # arms whose tensions are kept: the next ones often differ in th
 _FADED_N = 2e-4  # change of a tension that counts as none: equilibria are balanced to some 1e-5 N
 
 
-class _Course(NamedTuple):
+class _EquilibriumPath(NamedTuple):
     """One history-dependent arm from equilibrium to equilibrium."""
 
     tensions_n: Array  # (R, M)
@@ -57,46 +58,34 @@ class Replay:
     """One sequence of commands and loads that any number of arms are put through.
 
     Attributes:
-        time_s: (R,) of the samples, ascending.
-        command_rad: (R, 2N) commanded joint angles.
-        forces_n: (R, N, 3) loads in base axes, as recorded.
+        course: as recorded, R samples.
         alike: (R,) a number that rows with the same command and loads share.
         equilibrium_rad: (R, 2N) joint angles at the equilibria that were found last, without
             memory of the past; the commands before any was.
     """
 
-    def __init__(
-        self,
-        nominal: Arm,
-        time_s: Array,
-        command_rad: Array,
-        forces_n: Array,
-        places_m: Array | None = None,
-    ) -> None:
+    def __init__(self, nominal: Arm, course: Course) -> None:
         """The actuators hold the cable lengths that the `nominal` arm has at the commands.
 
-        Loads act at `places_m` (R, N) from their segments' joint centres, on the axes, as far as
-        the recording states it; where it is NaN or None, at the nominal `contact_m`. An effect
-        that moves contact points moves the loads by as much, wherever they act.
+        Loads of which no place is stated act at the nominal `contact_m`. An effect that moves
+        contact points moves the loads by as much, wherever they act.
         """
-        self.time_s = time_s
-        self.command_rad = command_rad
-        self.forces_n = forces_n
+        self.course = course
         self._nominal = mechanism_of(nominal)
-        self._held_m = held_lengths_m(self._nominal, command_rad)
-        each_row = [command_rad, forces_n.reshape(len(forces_n), -1)]
+        self._held_m = held_lengths_m(self._nominal, course.command_rad)
+        each_row = [course.command_rad, course.forces_n.reshape(len(course.forces_n), -1)]
         self._beyond_m: Array | None = None
-        if places_m is not None:
-            self._beyond_m = np.nan_to_num(places_m - self._nominal.contact_m, nan=0.0)
+        if course.places_m is not None:
+            self._beyond_m = np.nan_to_num(course.places_m - self._nominal.contact_m, nan=0.0)
             each_row.append(self._beyond_m)
         flat = np.concatenate(each_row, axis=1)
         _, self._first, self.alike = np.unique(
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
-        self.equilibrium_rad = command_rad
+        self.equilibrium_rad = course.command_rad
         self._latest: dict[tuple[object, ...], Array] = {}
-        self._courses: dict[tuple[object, ...], _Course] = {}
+        self._paths: dict[tuple[object, ...], _EquilibriumPath] = {}
 
     def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
@@ -125,7 +114,7 @@ class Replay:
         first = self._first
         same = self.alike
         if not np.array_equal(held_m, held_m[:, first][:, same]):
-            first = np.arange(len(self.time_s))
+            first = np.arange(len(self.course.time_s))
             same = first
         equilibrium = self._equilibrium(mechanisms[0], first, held_m[0], forces_n[0])
         touched = [self._touched(mechanism, first) for mechanism in mechanisms]
@@ -158,26 +147,26 @@ class Replay:
         one cable, are simulated only until all these numbers together no longer change a tension.
         """
         first, *others = variants
-        course = self._course(first, some_may_fail=some_may_fail)
-        tensions = np.repeat(course.tensions_n[None], len(variants), axis=0)
+        path = self._path(first, some_may_fail=some_may_fail)
+        tensions = np.repeat(path.tensions_n[None], len(variants), axis=0)
         fading = [self._fading_changes(first, each) for each in others]
         brief = np.array([bool(changes) for changes in fading], dtype=bool)
         if brief.sum() < 2:
             brief[:] = False
         lasting = [each for each, is_brief in zip(others, brief, strict=True) if not is_brief]
         if not brief.any():
-            tensions[1:] = self._path_tensions_n(lasting, course, some_may_fail=some_may_fail)
+            tensions[1:] = self._path_tensions_n(lasting, path, some_may_fail=some_may_fail)
             return tensions
         together = [
             replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
             for k, entry in enumerate(first)
         ]
-        path_n = self._path_tensions_n([*lasting, together], course, some_may_fail=some_may_fail)
+        path_n = self._path_tensions_n([*lasting, together], path, some_may_fail=some_may_fail)
         tensions[1:][~brief] = path_n[:-1]
-        differs = ~(np.abs(path_n[-1] - course.tensions_n).max(axis=1) < _FADED_N)
+        differs = ~(np.abs(path_n[-1] - path.tensions_n).max(axis=1) < _FADED_N)
         rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
         fading_arms = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
-        begin = _Course(*(each[:rows] for each in course))
+        begin = _EquilibriumPath(*(each[:rows] for each in path))
         tensions[1:][brief, :rows] = self._path_tensions_n(
             fading_arms, begin, some_may_fail=some_may_fail
         )
@@ -197,19 +186,19 @@ class Replay:
             all_changes.append(changes)
         return all_changes if any(all_changes) else []
 
-    def _course(self, entries: Sequence[EffectEntry], *, some_may_fail: bool) -> _Course:
-        """The course of one arm, found again if it is one of the last few."""
+    def _path(self, entries: Sequence[EffectEntry], *, some_may_fail: bool) -> _EquilibriumPath:
+        """The equilibria of one arm, found again if it is one of the last few."""
         key = some_may_fail, *_key(entries)
-        course = self._courses.get(key)
-        if course is None:
+        path = self._paths.get(key)
+        if path is None:
             rests = self._equilibria([entries], None, some_may_fail=some_may_fail)
             tensions, angles = (np.stack(each, axis=1)[0] for each in zip(*rests, strict=True))
-            course = _Course(tensions, np.diff(angles, axis=0, prepend=angles[:1]))
-        self._courses = dict(list({**self._courses, key: course}.items())[-_ARMS_KEPT:])
-        return course
+            path = _EquilibriumPath(tensions, np.diff(angles, axis=0, prepend=angles[:1]))
+        self._paths = dict(list({**self._paths, key: path}.items())[-_ARMS_KEPT:])
+        return path
 
     def _path_tensions_n(
-        self, variants: Variants, along: _Course, *, some_may_fail: bool
+        self, variants: Variants, along: _EquilibriumPath, *, some_may_fail: bool
     ) -> Array:
         """Tensions (P, rows, M), with turns like those of another arm."""
         tensions_n = np.empty((len(variants), *along.tensions_n.shape))
@@ -231,13 +220,16 @@ class Replay:
         mechanisms, held, forces = self._moved(variants)
         arm = QuasiStaticArm(mechanisms, variants, some_may_fail=some_may_fail)
         places = np.stack([mechanism.contact_m for mechanism in mechanisms])
-        beyond = np.zeros((len(self.time_s), 1, 1))
+        beyond = np.zeros((len(self.course.time_s), 1, 1))
         if self._beyond_m is not None:
             beyond = self._beyond_m[:, None]
-        turns = [None] * len(self.time_s) if turn_rad is None else turn_rad
+        turns = [None] * len(self.course.time_s) if turn_rad is None else turn_rad
         for row, turn in enumerate(turns):
             loads = forces[:, row], places + beyond[row]
-            yield arm.step(self.time_s[row], held[:, row], *loads, turn), arm.joint_angles_rad
+            yield (
+                arm.step(self.course.time_s[row], held[:, row], *loads, turn),
+                arm.joint_angles_rad,
+            )
 
     def _memoryless_n(self, variants: Variants, unborne_n: Array | None) -> Array:
         """Tensions (P, R, M); arms that differ in their sensors alone are solved once."""
@@ -263,8 +255,12 @@ class Replay:
             held = np.repeat(self._held_m[None], len(variants), axis=0)
         else:
             each_rad, row_of_arm = np.unique(zeros_rad, axis=0, return_inverse=True)
-            held = held_lengths_m(self._nominal, self.command_rad + each_rad[:, None])[row_of_arm]
-        forces = np.broadcast_to(self.forces_n, (len(variants), *self.forces_n.shape))
+            held = held_lengths_m(self._nominal, self.course.command_rad + each_rad[:, None])[
+                row_of_arm
+            ]
+        forces = np.broadcast_to(
+            self.course.forces_n, (len(variants), *self.course.forces_n.shape)
+        )
         for matrix in loadings(variants):
             forces = forces @ matrix.swapaxes(1, 2)[:, None]
         return (
@@ -276,7 +272,7 @@ class Replay:
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
         """Values (P, R, M) after actuators or sensors have acted on them in turn."""
         for stage in chain:
-            values = stage.along(self.time_s, values)
+            values = stage.along(self.course.time_s, values)
         return values
 
     def _at_rest_n(
@@ -300,7 +296,7 @@ class Replay:
         tensions[borne] = equilibrium.tensions_n
         if unborne_n is not None:
             tensions[~borne] = unborne_n[first][~borne]
-        angles_rad = self.command_rad[first]
+        angles_rad = self.course.command_rad[first]
         angles_rad[borne] = equilibrium.joint_angles_rad
         self.equilibrium_rad = angles_rad[same]
         if self._start_rad is None:
@@ -310,10 +306,10 @@ class Replay:
     def _equilibrium(
         self, mechanism: Mechanism, rows: NDArray[np.int64], held_m: Array, forces_n: Array
     ) -> Equilibrium:
-        start = self.command_rad if self._start_rad is None else self._start_rad
+        start = self.course.command_rad if self._start_rad is None else self._start_rad
         return solve_equilibrium(
             self._touched(mechanism, rows),
-            self.command_rad[rows],
+            self.course.command_rad[rows],
             forces_n[rows],
             held_m=held_m[rows],
             start_rad=start[rows],
@@ -331,19 +327,15 @@ def _key(entries: Sequence[EffectEntry]) -> Iterator[tuple[object, ...]]:
     return ((e.effect.name, e.place, *e.values.items()) for e in entries)
 
 
-def replay_arm(
-    arm: Arm, time_s: Array, command_rad: Array, forces_n: Array, places_m: Array | None = None
-) -> Array:
-    """Readings (R, M) of an arm with the effects that its file lists.
+def replay_arm(arm: Arm, course: Course) -> Array:
+    """Readings (R, M) of an arm with the effects that its file lists, over a course of R samples.
 
     Its actuators hold the lengths of the arm without them, as its controller knows no better.
-    The course is as in `Replay`.
 
     Raises:
         EquilibriumError: the arm finds no equilibrium.
     """
-    replay = Replay(arm, time_s, command_rad, forces_n, places_m)
-    return replay.readings_n([entries_of(arm)])[0]
+    return Replay(arm, course).readings_n([entries_of(arm)])[0]
 
 
 def read_tensions_n(tensions_n: ArrayLike, sensors: Sensors, rng: np.random.Generator) -> Array:

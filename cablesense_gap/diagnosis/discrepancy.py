@@ -42,7 +42,7 @@ _POWERS = 6
 """Powers of the position, from 0: those of a spring."""
 _SLIDING_POWERS = 3
 """Powers of the position times the direction of the motion, from 0."""
-_FARTHEST = 1.6
+_FARTHEST_HALF_RANGES = 1.6
 """Half ranges from the middle beyond which powers stay constant: they grow without bound."""
 _MARGIN = 0.1
 """Share of a condition's range beyond it where nothing is known any more; waves end there."""
@@ -61,7 +61,7 @@ _PRECISIONS = (1e-3, 1e9)
 off."""
 _LEAST_SQUARE = 1e-12
 """Mean square below which a coefficient is zero."""
-_LEAST = 1e-9
+_LEAST_SIZE = 1e-9
 """Below which a range, a speed, a load or a column counts as zero."""
 
 Key = tuple[str, ...]
@@ -130,19 +130,23 @@ class SmoothColumns:
         """The functions whose ranges are those of conditions (R, C)."""
         low = Conditions(*(quantity.min(0) for quantity in conditions))
         high = Conditions(*(quantity.max(0) for quantity in conditions))
-        sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
+        sizes = (
+            np.sqrt((c**2).mean(0)) + _LEAST_SIZE for c in (conditions.speed, conditions.load)
+        )
         return SmoothColumns(low, high, *sizes)
 
     def powers(self, conditions: Conditions) -> Array:
         """(K, R, C) powers of the position, alone and times the direction of the motion."""
-        position = np.clip(2.0 * self._place(conditions) - 1.0, -_FARTHEST, _FARTHEST)
+        position = np.clip(
+            2.0 * self._place(conditions) - 1.0, -_FARTHEST_HALF_RANGES, _FARTHEST_HALF_RANGES
+        )
         way = np.tanh(conditions.speed / (_SLOW[1] * self.speed))
         alone = [position**k for k in range(_POWERS)]
         return np.array([*alone, *(way * power for power in alone[:_SLIDING_POWERS])])
 
     def _place(self, conditions: Conditions) -> Array:
         """Positions (R, C) as shares of the range."""
-        span = np.maximum(self.high.position - self.low.position, _LEAST)
+        span = np.maximum(self.high.position - self.low.position, _LEAST_SIZE)
         return np.asarray((conditions.position - self.low.position) / span)
 
     def beyond(self, conditions: Conditions) -> Conditions:
@@ -152,7 +156,7 @@ class SmoothColumns:
             Conditions._fields, conditions, self.low, self.high, strict=True
         ):
             size = 0.0 if name == "position" else np.maximum(np.abs(low), np.abs(high))
-            span = np.maximum(np.maximum(high - low, size), _LEAST)
+            span = np.maximum(np.maximum(high - low, size), _LEAST_SIZE)
             excess = np.abs(quantity - np.clip(quantity, low, high))
             margins.append(excess / (_MARGIN * span))
         return Conditions(*margins)
@@ -360,7 +364,7 @@ def flexible_model(
             centred = values - values.mean()
             columns[group][group, name] = np.broadcast_to(centred[:, None], residual.shape)
             strength[name] = float(
-                ((centred @ residual) ** 2).sum() / max(centred @ centred, _LEAST)
+                ((centred @ residual) ** 2).sum() / max(centred @ centred, _LEAST_SIZE)
             )
     for key, smooth in SmoothColumns.like(conditions).of(conditions).items():
         group = "motion" if "speed" in key[0] else "tension" if key[0] == "load" else "pose"
@@ -390,7 +394,7 @@ def _fitted(
     """The posterior of a channel, and its held-out means (R,)."""
     square = float((residual[:, c] ** 2).mean())
     sizes = {key: float(np.sqrt((column[:, c] ** 2).mean())) for key, column in columns.items()}
-    keys = tuple(key for key, size in sizes.items() if size > _LEAST * max(sizes.values()))
+    keys = tuple(key for key, size in sizes.items() if size > _LEAST_SIZE * max(sizes.values()))
     zeros = np.zeros(len(residual))
     nothing = _Channel((), zeros[:0], np.zeros((0, 0)), square, square), zeros
     if not keys or not square > 0.0:

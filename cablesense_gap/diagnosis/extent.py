@@ -96,11 +96,11 @@ class _OfChannels:
         self.tolerances = simulator.tolerances
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """As of the other simulator, (P, R, kept channels)."""
+        """The kept ones of the channels (P, R, C) of P variants."""
         return self._simulator.predict(variants)[:, :, self._kept]
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
-        """As of the other simulator, (P, R, kept channels)."""
+        """The kept ones of the changes (P, R, C) by small differences from a base."""
         return small_changes(self._simulator, base, variants)[:, :, self._kept]
 
 

@@ -33,7 +33,7 @@ MOST_STEPS = 8
 
 _DERIVATIVE_STEP = 0.03
 """Scaled, for derivatives: far above the rounding of the simulator, small enough to be linear."""
-_NEAR = 0.25
+_NEAR_DISTANCE = 0.25
 """Scaled distance to where derivatives still serve."""
 _CONVERGED_STEP = 5e-3
 """Scaled step that is too small to continue: a two hundredth of a typical size."""
@@ -88,7 +88,10 @@ def refit(
 def refit_part(
     problem: Problem, hypothesis: Hypothesis, values: Mapping[Term, float], most_steps: int
 ) -> Hypothesis | None:
-    """As `refit`, from some values of a hypothesis and its sensitivities to them."""
+    """Fit some values of a hypothesis again, from its sensitivities to them.
+
+    None if they cannot be simulated.
+    """
     kept_indices = [k for k, term in enumerate(hypothesis.values) if term in values]
     predicted = problem.predict([values])[0]
     return refit(problem, values, most_steps, (predicted, hypothesis.columns[kept_indices]))
@@ -146,7 +149,7 @@ class _Fit:
             tried = np.clip(point + step, self._low, self._high)
             if np.abs(tried - point).max(initial=0.0) < _CONVERGED_STEP:
                 break
-            far = bool(np.abs(tried - linear_at).max() > _NEAR)
+            far = bool(np.abs(tried - linear_at).max() > _NEAR_DISTANCE)
             linear_model = self._linear(tried, columns) if far and self._slow else None
             ahead = self._predicted(tried) if linear_model is None else linear_model[0]
             before = self._cost(point, predicted, mean_square)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 
-_SMOOTH = 0.5
+_SMOOTH_SHARE = 0.5
 """Share of the smooth part in the mean square of an error as it is expected."""
 
 
@@ -60,7 +60,7 @@ class TwoParts:
             squares_left += (residual[fold_rows] ** 2).sum(0) - (on**2).sum(1)
             free += len(fold_rows) - large.sum(1)
         deviation = np.clip(np.sqrt(squares_left / free), least, error)
-        smooth = np.sqrt(_SMOOTH) * deviation / error
+        smooth = np.sqrt(_SMOOTH_SHARE) * deviation / error
         basis = []
         rest = []
         for functions, size in decompositions:
@@ -68,7 +68,7 @@ class TwoParts:
             basis.append(functions * large[:, None])
             count = functions.shape[1]
             dimensions = large.sum(1)
-            share = np.where(dimensions > 0, 1.0 - _SMOOTH, 1.0)
+            share = np.where(dimensions > 0, 1.0 - _SMOOTH_SHARE, 1.0)
             rest.append(np.sqrt(share * count / np.maximum(count - dimensions, 1)))
         return TwoParts(rows, basis, smooth, rest), deviation
 

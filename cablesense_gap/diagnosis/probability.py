@@ -27,14 +27,19 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import weight
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
+from cablesense_gap.verdict import NONE, UNKNOWN
 
-UNKNOWN = ("unknown",)
+UNKNOWN_ALONE = (UNKNOWN,)
+NONE_ALONE = (NONE,)
+"""What the effects of a `Ranked` are that has an unlisted effect alone, and that has none."""
 NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
@@ -96,6 +101,38 @@ class Ranked:
     remainder: bool = False
 
 
+class Fits(NamedTuple):
+    """What weighs of H fitted hypotheses.
+
+    Attributes:
+        held_out_rmse: (H,) RMS residual on held-out trials.
+        effects: (H,) how many each has; 0 for nuisance parameters alone.
+        sizes: (H,) how many of its numbers are sizes.
+        nuisance_chi2: (H,) s, of the nuisance parameters.
+        nuisance_count: m, of these parameters.
+        log_prior_penalty: (H,) p; 0 where no size and no place is implausible.
+    """
+
+    held_out_rmse: Array
+    effects: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    nuisance_chi2: Array
+    nuisance_count: int
+    log_prior_penalty: Array | float = 0.0
+
+    @classmethod
+    def of(cls, hypotheses: Sequence[Hypothesis]) -> Fits:
+        """Those of hypotheses of one problem."""
+        return cls(
+            held_out_rmse=np.array([h.held_out_rmse for h in hypotheses]),
+            effects=np.array([len(h.effects) for h in hypotheses]),
+            sizes=np.array([h.sizes for h in hypotheses]),
+            nuisance_chi2=np.array([h.nuisance_chi2 for h in hypotheses]),
+            nuisance_count=hypotheses[0].nuisance_count,
+            log_prior_penalty=np.array([h.log_prior_penalty for h in hypotheses]),
+        )
+
+
 def posterior(
     hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
 ) -> list[Ranked]:
@@ -103,19 +140,34 @@ def posterior(
 
     `hypotheses` contain the one of nuisance parameters alone, which is named `none`.
     """
-    weights = _log_weights_of(hypotheses, floor, calibration)
+    weights = log_weights(Fits.of(hypotheses), floor, calibration)
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     ranked = [
-        Ranked(h.effects or ("none",), float(share), h)
+        Ranked(h.effects or NONE_ALONE, float(share), h)
         for h, share in zip(hypotheses, shares, strict=False)
     ]
-    ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
+    ranked.append(Ranked(UNKNOWN_ALONE, float(shares[-1]), None))
     return in_order(ranked, floor)
 
 
+def log_weights(fits: Fits, floor: float, calibration: ProbabilityCalibration) -> Array:
+    """(H + 1,) one for each hypothesis, and the last for an unlisted effect alone.
+
+    One of the hypotheses is that of nuisance parameters alone.
+    """
+    c = calibration
+    least = _beyond_floor(0.0, floor, c)
+    beyond_floor = np.array([_beyond_floor(rmse, floor, c) for rmse in fits.held_out_rmse])
+    power = np.where(fits.effects > 0, c.power, c.none)
+    listed = -power * np.log(beyond_floor / least) - _penalty(fits, c)
+    nuisance_alone = beyond_floor[np.flatnonzero(fits.effects == 0)[0]]
+    imitated = _stand_in(nuisance_alone, floor, c)
+    return np.append(listed, -c.power * np.log(imitated / least) - c.unknown)
+
+
 def log_weights_beside_unlisted(
-    hypotheses: Sequence[Hypothesis],
+    fits: Fits,
     unlisted_rmse: Array,
     share: float,
     log_choices: float,
@@ -135,54 +187,36 @@ def log_weights_beside_unlisted(
     the unlisted acts, each of the k effects may be its imitation, so it must remove more than
     that does.
     """
-    nuisance_count = max(hypotheses[0].nuisance_count, 1)
-    weights = []
-    for h, unlisted in zip(hypotheses, unlisted_rmse, strict=True):
-        off = max(h.nuisance_chi2 / nuisance_count, 1.0) - 1.0
-        # tolerances alone explain nothing if the unlisted acts everywhere
-        tolerances = calibration.tolerance_chi2 * off if h.effects or share < 1.0 else 0.0
-        weight = log_weight_beside_unlisted(
-            h.held_out_rmse,
-            float(unlisted),
-            share,
-            len(h.effects),
-            h.sizes,
-            log_choices,
-            floor,
-            calibration,
-        )
-        weights.append(weight - h.log_prior_penalty - tolerances)
-    return np.array(weights)
-
-
-def log_weight_beside_unlisted(
-    outside_rmse: float,
-    unlisted_rmse: float,
-    share: float,
-    effects: int,
-    sizes: int,
-    log_choices: float,
-    floor: float,
-    calibration: ProbabilityCalibration,
-) -> float:
-    """One of `log_weights_beside_unlisted`, with tolerances no farther off than usual."""
     c = calibration
+    is_listed = fits.effects > 0
+    if share == 1.0:  # tolerances alone explain nothing if the unlisted acts everywhere
+        fits = fits._replace(nuisance_chi2=np.where(is_listed, fits.nuisance_chi2, 0.0))
     least = _beyond_floor(0.0, floor, c)
-    outside = _beyond_floor(outside_rmse, floor, c)
-    unlisted = _stand_in(_beyond_floor(unlisted_rmse, floor, c), floor, c)
-    power = c.power if effects else c.none
-    of_effects = c.one + (effects - 1) * (c.two - c.one) + c.size * sizes if effects else 0.0
+    outside = np.array([_beyond_floor(rmse, floor, c) for rmse in fits.held_out_rmse])
+    unlisted = np.array(
+        [_stand_in(_beyond_floor(rmse, floor, c), floor, c) for rmse in unlisted_rmse]
+    )
+    power = np.where(is_listed, c.power, c.none)
     explained = (1.0 - share) * power * np.log(outside / least)
-    imitated = share * effects * c.power * np.log(1.0 / c.share)
+    imitated = share * fits.effects * c.power * np.log(1.0 / c.share)
     unexplained = share * c.power * np.log(unlisted / least) + imitated
-    return float(-explained - unexplained - of_effects - c.unknown - log_choices)
+    return np.asarray(-explained - unexplained - _penalty(fits, c) - c.unknown - log_choices)
+
+
+def _penalty(fits: Fits, c: ProbabilityCalibration) -> Array:
+    """(H,) what weighs against hypotheses beside their residuals: π(k) + ν n + τ (s/m - 1) + p."""
+    of_effects = np.where(fits.effects > 0, c.one + (fits.effects - 1) * (c.two - c.one), 0.0)
+    mean_square = fits.nuisance_chi2 / max(fits.nuisance_count, 1)
+    strain = np.maximum(mean_square, 1.0) - 1.0
+    of_numbers = c.size * fits.sizes + c.tolerance_chi2 * strain
+    return np.asarray(of_effects + of_numbers + fits.log_prior_penalty)
 
 
 def log_weights_alone(
     hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
 ) -> Array:
     """(H,) as `log_weights`, of each hypothesis without anything unlisted."""
-    return _log_weights_of(hypotheses, floor, calibration)[:-1]
+    return log_weights(Fits.of(hypotheses), floor, calibration)[:-1]
 
 
 def probability_unlisted(
@@ -207,22 +241,6 @@ def _beyond_floor(held_out_rmse: float, floor: float, c: ProbabilityCalibration)
 def _stand_in(left: float, floor: float, c: ProbabilityCalibration) -> float:
     """What the best listed effects leave of an unlisted one that makes a gap of `left`."""
     return float(np.hypot(c.share * left, c.stand_in * floor))
-
-
-def _log_weights_of(
-    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
-) -> Array:
-    """(H + 1,) see `log_weights`."""
-    return log_weights(
-        np.array([h.held_out_rmse for h in hypotheses]),
-        np.array([len(h.effects) for h in hypotheses]),
-        np.array([h.sizes for h in hypotheses]),
-        np.array([h.nuisance_chi2 for h in hypotheses]),
-        max(hypotheses[0].nuisance_count, 1),
-        floor,
-        calibration,
-        np.array([h.log_prior_penalty for h in hypotheses]),
-    )
 
 
 def in_order(ranked: Sequence[Ranked], floor: float) -> list[Ranked]:
@@ -255,7 +273,7 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     effect always acts; such a hypothesis is named with a probability of at most `YIELDED`.
     """
     first = ranked[0]
-    if first.effects != UNKNOWN:
+    if first.effects != UNKNOWN_ALONE:
         return list(ranked)
     together = imitating_best(problem, ranked)
     if sum(each.probability for each in together) > first.probability:
@@ -319,36 +337,6 @@ def _support(
         for effect, ratio in ratios.items()
     )
     return ratios if enough and all(needed) else {}
-
-
-def log_weights(
-    held_out_rmse: Array,
-    counts: np.ndarray,
-    sizes: np.ndarray,
-    nuisance_chi2: Array,
-    nuisance_count: float,
-    floor: float,
-    calibration: ProbabilityCalibration,
-    log_prior_penalty: Array | float = 0.0,
-) -> Array:
-    """One for each hypothesis, and the last for an unlisted effect.
-
-    `counts` of effects are 0 for nuisance parameters alone.
-    """
-    c = calibration
-    floor_share = c.floor_share * floor
-    beyond_floor = np.array(
-        [np.hypot(noise_corrected_rms(e**2, floor), floor_share) for e in held_out_rmse]
-    )
-    least = np.hypot(noise_corrected_rms(0.0, floor), floor_share)
-    nuisance_alone = beyond_floor[np.flatnonzero(counts == 0)[0]]
-    power = np.where(counts == 0, c.none, c.power)
-    several = c.one + (counts - 1) * (c.two - c.one)
-    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + log_prior_penalty
-    penalty += c.tolerance_chi2 * (np.maximum(nuisance_chi2 / nuisance_count, 1.0) - 1.0)
-    stand_in = np.hypot(c.share * nuisance_alone, c.stand_in * floor)
-    unknown = -c.power * np.log(stand_in / least) - c.unknown
-    return np.append(-power * np.log(beyond_floor / least) - penalty, unknown)
 
 
 def ambiguity(

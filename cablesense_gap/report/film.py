@@ -28,6 +28,7 @@ from cablesense_gap.robot.forward import Rollouts
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.robot.motion import Motion, inner_rows
 from cablesense_gap.robot.system import RobotDiagnosis
+from cablesense_recording.robot_recording import TrialLabel
 
 _SHOWN_S = 4.0
 """How long a film runs, over and over."""
@@ -75,13 +76,13 @@ class Clip:
     """A part of a recording in F frames.
 
     Attributes:
-        trial: its number in the recording.
+        trial: what the recording's user knows its trial by.
         begin_s, span_s: when it begins, as the recording counts time, and how long it is.
         measured: (F, J) positions of the joints.
         predictions: of the nominal model, and of an amended one that differs.
     """
 
-    trial: int
+    trial: TrialLabel
     begin_s: float
     span_s: float
     measured: Array
@@ -183,7 +184,7 @@ def _clip(
     number = int(np.searchsorted(lengths, begin, side="right")) - 1
     trial = motion.trials[number]
     return Clip(
-        trial=trial.number,
+        trial=trial.label,
         begin_s=float(trial.time_s[begin - lengths[number]]),
         span_s=span / motion.rate_hz,
         measured=_in_frames(measured),

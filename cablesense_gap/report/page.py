@@ -222,10 +222,11 @@ def overlay_picture(found: Diagnosis) -> str:
     recording = found.recording
     squares = np.nan_to_num(found.before_n**2)
     cable = int(squares.sum(axis=0).argmax())
-    of_trial = np.bincount(recording.trial, squares[:, cable]) / np.maximum(
-        np.bincount(recording.trial), 1
+    numbers, number_of_row, row_counts = np.unique(
+        recording.trial, return_inverse=True, return_counts=True
     )
-    trial = int(of_trial.argmax())
+    of_trial = np.bincount(number_of_row, squares[:, cable]) / row_counts
+    trial = int(numbers[of_trial.argmax()])
     name = found.nominal.cable_names[cable].replace("_", " ")
     figure, axes = plt.subplots(2, 1, figsize=(_WIDTH_IN, 4.4), layout="constrained")
     for panel, rows, title in (

@@ -18,13 +18,13 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Gap
 from cablesense_sim.effects.effect import Parameter
 
-_LEAVES = 0.6
+_LEAVING_SHARE = 0.6
 """Columns are tried where the model's residual is more than this share of a measured channel."""
-_GAIN = 0.5
+_BELIEVED_SHARE = 0.5
 """Changed columns are believed if the residual is then at most this share of the former."""
-_TOUCHED = 0.02
+_TOUCHED_SHARE = 0.02
 """Change of the share that a channel leaves, from which on changed columns touch it."""
-_MOST = 2.0
+_MOST_SHARE = 2.0
 """Largest share of a channel that a residual counts as."""
 _NEXT_ROW = 3.0
 """Times the usual interval up to which rows follow each other."""
@@ -32,12 +32,12 @@ _NEAR_TURN = 0.1
 """Share of a turn by which a jump may differ from one: joints move from row to row, a little."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
-_FURTHER = 0.5
+_FURTHER_NUMBER_COST = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
 _FAR_BEYOND = 10.0
 """Times the model's own value that make a number of a verdict doubtful; of masses, if they are
 also more than the whole robot's."""
-_LITTLE = 0.5
+_LITTLE_REMOVED = 0.5
 """Removed share of the gap below which a verdict is doubtful."""
 
 Left = Callable[[RobotRecording], Mapping[str, float]]
@@ -51,7 +51,7 @@ def exchanged(recording: RobotRecording, robot: Robot, left: Left) -> list[str]:
     robot, and effects that imitate it get impossible numbers.
     """
     sentences: list[str] = []
-    while max((now := left(recording)).values()) >= _LEAVES:
+    while max((now := left(recording)).values()) >= _LEAVING_SHARE:
         tried = [(_gain(now, left(each)), text, each) for text, each in _changes(recording, robot)]
         gain, text, changed = max(tried, key=lambda each: each[0])
         if gain <= 0.0 or text in sentences:
@@ -64,12 +64,15 @@ def exchanged(recording: RobotRecording, robot: Robot, left: Left) -> list[str]:
 def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
     """By how much the channels that a change of columns touches are better, if that is plain."""
     pairs = np.array([(before[c], after.get(c, np.inf)) for c in before])
-    was_off, now_off = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
+    was_off, now_off = np.minimum(
+        pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED_SHARE], _MOST_SHARE
+    ).T
     square_before = float(was_off @ was_off)
     square_after = float(now_off @ now_off)
     return (
         square_before - square_after
-        if square_before >= len(was_off) * _LEAVES**2 and square_after <= _GAIN**2 * square_before
+        if square_before >= len(was_off) * _LEAVING_SHARE**2
+        and square_after <= _BELIEVED_SHARE**2 * square_before
         else 0.0
     )
 
@@ -186,7 +189,7 @@ def _log_prior_penalty(problem: Problem, hypothesis: Hypothesis) -> float:
     )
     return (
         float(2.0 * sum(np.log(max(1.0, *distances)) for distances in far.values()))
-        + _FURTHER * numbers
+        + _FURTHER_NUMBER_COST * numbers
     )
 
 
@@ -222,5 +225,5 @@ def of_verdict(
     for k in np.flatnonzero(rotor > _FAR_BEYOND * inertia).tolist():
         times = 1.0 + rotor[k] / inertia[k]
         yield f"The inertia of {robot.joints[k]} is {times:.1f} times the model's."
-    if gap.removed_fraction < _LITTLE:
+    if gap.removed_fraction < _LITTLE_REMOVED:
         yield f"The amended model leaves {1.0 - gap.removed_fraction:.0%} of the gap."

@@ -37,9 +37,9 @@ _OF_COMPARISON = 0.5
 comes and goes averages out."""
 _MOST_STEPS = 8_000
 """In all windows together; a longer recording has gaps between its windows."""
-_FEWEST = 15
+_FEWEST_WINDOWS = 15
 """Windows that a recording has at least."""
-_KEPT = 30
+_KEPT_WINDOWS = 30
 """Windows that remain of many, however many steps they take."""
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -47,13 +47,18 @@ _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class ForwardComparison(MotionComparison):
-    """Positions and speeds of all joints at the ends of windows, see `MotionComparison`."""
+    """Positions, then speeds, of all joints at the ends of Q windows: torques in, motion out.
+
+    Both are beyond those of coasting on from where a window begins.
+    """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """Take a robot and its motion as it was measured."""
         self._robot = robot
         span = _span(motion)
-        begins, self.trial = _windows(motion, span, _substeps(robot, motion))
+        begins, of_trials = _windows(motion, span, _substeps(robot, motion))
+        compared_trials, self.trial = np.unique(of_trials, return_inverse=True)
+        self.trial_labels = tuple(motion.trials[number].label for number in compared_trials)
         self._rollouts = Rollouts(robot, motion, begins, span)
         self.span_s = span / motion.rate_hz
         self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
@@ -142,7 +147,7 @@ class Rollouts:
         return position[rows], speed[rows]
 
     def _smoothed(self, drive: Array) -> Array:
-        """As the motion is: what drives make beyond that shows in none of its states."""
+        """What drives make (T, …), smoothed as the motion is: no state shows the rest."""
         return smoothed(drive, self._rate_hz, self._smoothed_hz)
 
     def predicted(self, change: Change) -> tuple[Array, Array]:
@@ -254,7 +259,7 @@ def _substeps(robot: Robot, motion: Motion) -> int:
 def _windows(
     motion: Motion, span: int, substeps: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (Q,) among those of all trials, and numbers (Q,) of the trials without gaps.
+    """First rows (Q,) among those of all trials, and of which of the motion's trials (Q,).
 
     Raises:
         RecordingError: there are too few.
@@ -269,14 +274,14 @@ def _windows(
         numbers.append(np.full(len(trial_begins), number))
         first += len(path)
     count = sum(len(rows) for rows in begins)
-    stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
+    stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT_WINDOWS)
     begin, trial = (np.concatenate(each)[:: max(stride, 1)] for each in (begins, numbers))
-    if len(begin) < _FEWEST:
+    if len(begin) < _FEWEST_WINDOWS:
         raise RecordingError(
             f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
-            f"trials of several seconds, for {_FEWEST} at least"
+            f"trials of several seconds, for {_FEWEST_WINDOWS} at least"
         )
-    return begin, np.unique(trial, return_inverse=True)[1]
+    return begin, trial
 
 
 def _ends_of_trials(motion: Motion, begins: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -35,16 +35,32 @@ _EXCHANGED = {BY_LOAD: _TORQUE_SCALE, _TORQUE_SCALE: BY_LOAD}
 """Effects that are one where loads always oppose the motion."""
 _BEST_EXCHANGED = 2
 """Hypotheses in which these are exchanged: the best."""
-_ENRICHED = 3
+_MOST_ENRICHED = 3
 """Hypotheses with friction that get richer forms: the best of the search, and their parts."""
 _MOST_LOCATIONS = 6
 """Of friction in a hypothesis that gets richer forms: it would have two numbers more in each."""
 _MOST_JOINTS = 3
 """Joints of a verdict whose laws are compared: the others are named without a form."""
-_SPEEDS = (0.3, 1.0, 3.0)
-_BENDS = (1.0, 10.0)
+_SPEED_FACTORS = (0.3, 1.0, 3.0)
+_BEND_FACTORS = (1.0, 10.0)
 """By which Stribeck's speed and presliding are multiplied where fits begin: they are far from
 linear."""
+
+
+PART_OF: Mapping[str, str | None] = {
+    "torque_n_m": "dry",
+    "torque_s_n_m": "viscous",
+    "share": "load",
+    PRESLIDING: "presliding",
+    STRIBECK: "Stribeck",
+    STRIBECK_SPEED: None,
+    LOPSIDED: "by direction",
+    SIDE: None,
+}
+"""The part of a law that each number of `FRICTION` adds: None for the shape of another's part.
+
+Laws are compared by their parts, so a number that has none stated is an error.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,37 +73,34 @@ class Law:
 
 
 def _law(name: str, **numbers: tuple[str, ...]) -> Law:
-    """A law by the numbers that it has of each effect; the parts follow."""
-    part_of = {
-        "torque_n_m": "dry",
-        "torque_s_n_m": "viscous",
-        "share": "load",
-        PRESLIDING: "presliding",
-        STRIBECK: "Stribeck",
-        LOPSIDED: "by direction",
-    }
-    named = [part_of[n] for group in numbers.values() for n in group if n in part_of]
-    return Law(name, frozenset(named), numbers)
+    """A law by the numbers that it has of each effect; the parts follow.
+
+    Raises:
+        KeyError: `PART_OF` lacks a number.
+    """
+    parts = {PART_OF[number] for group in numbers.values() for number in group}
+    return Law(name, frozenset(part for part in parts if part is not None), numbers)
 
 
-_TORQUE = ("torque_n_m",)
-_FALL = (STRIBECK, STRIBECK_SPEED)
-_LOSS = ("share", SIDE)
-_ALWAYS = {DRY: (PRESLIDING,), BY_LOAD: (PRESLIDING,)}
-"""Numbers that an effect has in every law."""
-_PLAIN = {"viscous_friction": ("torque_s_n_m",)}
+_DRY_NUMBERS = ("torque_n_m",)
+_FALL_NUMBERS = (STRIBECK, STRIBECK_SPEED)
+_LOSS_NUMBERS = ("share", SIDE)
+_ALWAYS_NUMBERS = {DRY: (PRESLIDING,), BY_LOAD: (PRESLIDING,)}
+"""Numbers that an effect has in every law, where the comparison has them: forward in time dry
+friction is MuJoCo's, which gives no way."""
+_VISCOUS_NUMBERS = {"viscous_friction": ("torque_s_n_m",)}
 LAWS = (
-    _law("Coulomb", joint_friction=_TORQUE),
-    _law("viscous", **_PLAIN),
+    _law("Coulomb", joint_friction=_DRY_NUMBERS),
+    _law("viscous", **_VISCOUS_NUMBERS),
     _law("viscous, by direction", viscous_friction=("torque_s_n_m", LOPSIDED)),
-    _law("Dahl", joint_friction=(*_TORQUE, PRESLIDING)),
-    _law("Stribeck", joint_friction=(*_TORQUE, *_FALL)),
-    _law("LuGre", joint_friction=(*_TORQUE, PRESLIDING, *_FALL)),
-    _law("by the load", load_friction=_LOSS),
-    _law("by the load, with presliding", load_friction=(*_LOSS, PRESLIDING)),
-    _law("by the load, with Stribeck", load_friction=(*_LOSS, PRESLIDING, *_FALL)),
+    _law("Dahl", joint_friction=(*_DRY_NUMBERS, PRESLIDING)),
+    _law("Stribeck", joint_friction=(*_DRY_NUMBERS, *_FALL_NUMBERS)),
+    _law("LuGre", joint_friction=(*_DRY_NUMBERS, PRESLIDING, *_FALL_NUMBERS)),
+    _law("by the load", load_friction=_LOSS_NUMBERS),
+    _law("by the load, with presliding", load_friction=(*_LOSS_NUMBERS, PRESLIDING)),
+    _law("by the load, with Stribeck", load_friction=(*_LOSS_NUMBERS, PRESLIDING, *_FALL_NUMBERS)),
 )
-"""Those without viscous friction; each but the viscous ones may have that in addition."""
+"""All that are compared; each but the viscous ones may have viscous friction in addition."""
 
 
 def with_imitators(problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -151,7 +164,7 @@ def _worth_enriching(
 ) -> dict[tuple[str, ...], dict[Term, float]]:
     """Values with the numbers of richer forms by effects: of the best, and of their parts."""
     with_friction = [h for h in found if _friction_of(h.values, candidates)]
-    best = sorted(with_friction, key=problem.score)[:_ENRICHED]
+    best = sorted(with_friction, key=problem.score)[:_MOST_ENRICHED]
     alone = [h for h in with_friction if len(h.effects) == 1]
     worth: dict[tuple[str, ...], dict[Term, float]] = {}
     for hypothesis in [*best, *alone]:
@@ -194,7 +207,7 @@ def _screened(problem: Problem, values: Mapping[Term, float]) -> Hypothesis | No
     """The values fitted, from the best of several shapes that all places have alike."""
     parameters = {term: problem.parameters[term] for term in values}
     starts = [_scaled(parameters, values, {})]
-    for speed, bend in product(_SPEEDS, _BENDS):
+    for speed, bend in product(_SPEED_FACTORS, _BEND_FACTORS):
         factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
         starts.append(_scaled(parameters, values, factors))
     return refine(problem, parameters, starts, MOST_STEPS)
@@ -213,9 +226,9 @@ def _fitted_from(
         parameters[term] = replace(parameter, high=parameter.low, default=parameter.low)
     fits = [refine(problem, parameters, [_scaled(parameters, values, {})], MOST_STEPS)]
     if any(term.parameter == STRIBECK_SPEED for term in values):
-        for speed in _SPEEDS:
+        for speed in _SPEED_FACTORS:
             starts = []
-            for bend in _BENDS:
+            for bend in _BEND_FACTORS:
                 factors = {STRIBECK_SPEED: speed, PRESLIDING: bend}
                 starts.append(_scaled(parameters, values, factors))
             fits.append(refine(problem, parameters, starts, MOST_STEPS))
@@ -300,7 +313,9 @@ def _laws(problem: Problem, *, viscous: bool) -> list[Law]:
     if not viscous:
         return offered
     both = [
-        Law(f"{law.name} and viscous", law.parts | {"viscous"}, {**law.numbers, **_PLAIN})
+        Law(
+            f"{law.name} and viscous", law.parts | {"viscous"}, {**law.numbers, **_VISCOUS_NUMBERS}
+        )
         for law in offered
         if "viscous" not in law.parts
     ]
@@ -313,7 +328,10 @@ def _start_of(
     """Numbers of a law at a joint: as they were found, else typical ones."""
     values = {}
     for effect, names in law.numbers.items():
-        for name in dict.fromkeys((*names, *_ALWAYS.get(effect, ()))):
+        always = [
+            n for n in _ALWAYS_NUMBERS.get(effect, ()) if (effect, joint, n) in problem.parameters
+        ]
+        for name in dict.fromkeys((*names, *always)):
             term = Term(effect, joint, name)
             parameter = problem.parameters[term]
             usual = parameter.typical if parameter.role == "size" else parameter.default

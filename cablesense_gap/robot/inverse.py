@@ -190,7 +190,7 @@ class InverseDynamics:
 
 
 class InverseComparison(MotionComparison):
-    """Torques of those joints that have one, see `MotionComparison`.
+    """Torques of the drives at rows, for the C joints that have one: motion in, torques out.
 
     Readings and predictions of a joint at rest are zero. Units are such that noise alone has a
     root mean square of one over all rows.
@@ -210,6 +210,7 @@ class InverseComparison(MotionComparison):
         self.noise = self.floor * np.sqrt((counted**2).mean(0))
         self.readings = self._compared(motion.torque)
         self.trial = motion.compared_trial
+        self.trial_labels = motion.compared_labels
         self.time_s = motion.compared_time_s
         self.description = (
             f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
@@ -289,7 +290,7 @@ class Servos(NamedTuple):
 
 
 class ServoComparison(MotionComparison):
-    """Positions measured outside the drives less those commanded, see `MotionComparison`.
+    """Positions of all joints measured outside the drives less those commanded, at rows.
 
     A servo holds its own encoder at the command, except that it yields to the torque it bears. The
     zeros, scales, couplings and play between that encoder and the joint then show in a camera's
@@ -316,6 +317,7 @@ class ServoComparison(MotionComparison):
         self.noise = self.floor
         self.readings = motion.passed(motion.position - self._target)
         self.trial = motion.compared_trial
+        self.trial_labels = motion.compared_labels
         self.time_s = motion.compared_time_s
         self.description = (
             "Positions measured outside the drives are compared with those that the servos' "

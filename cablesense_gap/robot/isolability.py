@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError, some_of
 from cablesense_gap.diagnosis.linear_fit import products, weight
-from cablesense_gap.diagnosis.probability import NEAR_BEST, bundled_calibration, log_weights
+from cablesense_gap.diagnosis.probability import NEAR_BEST, Fits, bundled_calibration, log_weights
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.diagnosis.selection import LinearEffect, linear_effects
 from cablesense_gap.robot.inverse import Servos
@@ -48,7 +48,7 @@ _CAMERA_M = 1e-4
 """Standard deviation of one position of an encoder, and of a camera."""
 _PATH_HZ = 10.0
 """Bandwidth of the planned motion: where blocks begin it has steps of speed."""
-_PLAIN = 3.0
+_PLAIN_TIMES = 3.0
 """Times the size from which an effect is named, at which it is compared with others."""
 _SIZES = np.geomspace(0.02, 300.0, 40)
 """In typical ones, that are tried."""
@@ -60,9 +60,9 @@ _WEIGHTINGS = 3
 """Solutions of one fit, each at the weight of what the last one left."""
 _MOST_BLOCKS = 3
 """Blocks that are proposed for a question."""
-_REPEATED = 5.0
+_REPETITIONS = 5.0
 """How often each of these is recorded: trials are held out in five folds."""
-_WORTH = 1.1
+_WORTH_FACTOR = 1.1
 """Factor by which a block must raise the least difference to be proposed."""
 
 
@@ -246,7 +246,7 @@ def isolability(system: RobotSystem, sizes: Mapping[Site, float] | None = None) 
     for row, k in enumerate(judged):
         most = first[row].high / first[row].typical
         least = compared.least_named(k, most)
-        size = min(_PLAIN * least, most) if sizes is None else sizes[sites[row]]
+        size = min(_PLAIN_TIMES * least, most) if sizes is None else sizes[sites[row]]
         alone = compared.left(k, None, size)
         named_from[row] = least * first[row].typical
         shown[row] = alone.floors
@@ -374,15 +374,14 @@ class _Compared:
             rest = rival[0]
             rival_sizes = self._size_count(rival[1])
         residuals = floor * np.hypot(1.0, [alone.floors, 0.0, rest.floors])
-        weights = log_weights(
-            residuals,
-            np.array([0, 1, 1]),
-            np.array([0, self._size_count(k), rival_sizes]),
-            np.array([alone.chi2, 0.0, rest.chi2]),
-            max(len(self._nuisance), 1),
-            floor,
-            bundled_calibration(),
+        fits = Fits(
+            held_out_rmse=residuals,
+            effects=np.array([0, 1, 1]),
+            sizes=np.array([0, self._size_count(k), rival_sizes]),
+            nuisance_chi2=np.array([alone.chi2, 0.0, rest.chi2]),
+            nuisance_count=len(self._nuisance),
         )
+        weights = log_weights(fits, floor, bundled_calibration())
         against = weights[0] if rival is None else weights[2]
         return float(1.0 / (1.0 + np.exp(np.clip(weights[1] - against, -_MOST_ODDS, _MOST_ODDS))))
 
@@ -419,10 +418,10 @@ def blocks_that_part(
     chosen: list[RobotBlock] = []
     difference = -1.0
     while len(chosen) < _MOST_BLOCKS:
-        added = times + _REPEATED * np.eye(len(times))
+        added = times + _REPETITIONS * np.eye(len(times))
         differences = [_least_difference(_Compared(columns, each), pair) for each in added]
         best = int(np.argmax(differences))
-        if differences[best] < _WORTH * difference:
+        if differences[best] < _WORTH_FACTOR * difference:
             break
         difference = differences[best]
         times = added[best]

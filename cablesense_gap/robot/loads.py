@@ -13,13 +13,13 @@ import numpy as np
 
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, unit_of
-from cablesense_gap.explained import removes
+from cablesense_gap.explained import Changes, removes
 from cablesense_gap.robot.effects.mechanics import AddedMass
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_gap.verdict import FittedNumber
 
 PAYLOAD = AddedMass.name
-_LEFT = 0.5**0.5
+_LEFT_SHARE = 0.5**0.5
 """Share of what is left without it that a load of the healthy robot leaves at most: it explains
 most of the mean square. Imperfect models without a load are explained less."""
 _TAKEN_OFF = 1.1
@@ -63,9 +63,9 @@ def borne(
     if not fitted:
         return None
     best = min(fitted, key=problem.score)
-    less = best.held_out_rmse < _LEFT * without_effects.held_out_rmse
+    less = best.held_out_rmse < _LEFT_SHARE * without_effects.held_out_rmse
     clear = best.is_clearly_better_than(without_effects)
-    return best if less and clear and removes(problem, best) else None
+    return best if less and clear and removes(Changes(problem, best)) else None
 
 
 def with_places(

@@ -15,6 +15,7 @@ from scipy.signal import butter, sosfiltfilt
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.robot.model import Change
+from cablesense_recording.robot_recording import TrialLabel
 
 LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
@@ -125,7 +126,7 @@ class Stribeck(NamedTuple):
         return np.asarray(1.0 + self.share * np.exp(-((speed / self.speed) ** 2)))
 
 
-_PLAIN = Stribeck()
+_NO_STRIBECK = Stribeck()
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class Trajectory:
     load: Array
     command: Array
 
-    def slid(self, joint: int, presliding: float, stribeck: Stribeck = _PLAIN) -> Array:
+    def slid(self, joint: int, presliding: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
         """(R,) share of its dry friction that acts on a joint: after Dahl, -1 to 1, and LuGre.
 
         A joint that turns round gives elastically over about `presliding`, in the position's
@@ -160,7 +161,7 @@ class Trajectory:
         unit_motion[:, joint] = 1.0
         return self.slid_along(unit_motion, presliding, stribeck)
 
-    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
         """(R,) the same along a way that grows by (R, J) of each joint's motion."""
         way_speed = (self.speed * by_joint).sum(1)
         parts = (self._by_trial(each) for each in (self.position, by_joint, way_speed))
@@ -176,9 +177,14 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial at the recording's rate: T rows, each (T, …)."""
+    """One trial at the recording's rate: T rows, each (T, …).
+
+    Attributes:
+        number, label: of `RobotRecording.trial` and `trial_label`.
+    """
 
     number: int
+    label: TrialLabel
     time_s: Array
     position: Array
     torque: Array
@@ -209,6 +215,7 @@ class Motion(Trajectory):
         compared_hz: bandwidth of the comparison.
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
         compared_trial, compared_time_s: (Q,) of those; trials without any have no number.
+        compared_labels: of the trials in `compared_trial`, as the recording's user knows them.
         forward: whether the comparison is to go forward in time.
         zeroed: whether encoders were set to zero where each trial begins.
         external: whether positions were measured outside the drives.
@@ -230,6 +237,7 @@ class Motion(Trajectory):
     compared_hz: float
     passes: tuple[Array, ...]
     compared_trial: NDArray[np.int64]
+    compared_labels: tuple[TrialLabel, ...]
     compared_time_s: Array
     forward: bool
     zeroed: bool
@@ -256,8 +264,11 @@ class Motion(Trajectory):
         first = np.cumsum([0, *map(len, self.paths)])
         return np.concatenate([a + rows for a, rows in zip(first, self.inner, strict=False)])
 
-    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _PLAIN) -> Array:
-        """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
+    def slid_along(self, by_joint: Array, give: float, stribeck: Stribeck = _NO_STRIBECK) -> Array:
+        """(R,) share of dry friction along a way that grows by (R, J) of each joint's motion.
+
+        Between rows a joint may turn round, so it goes the whole path.
+        """
         shares = []
         for path, rows, trial_joints in zip(
             self.paths, self.inner, self._by_trial(by_joint), strict=True
@@ -321,6 +332,7 @@ class MotionComparison(ABC):
         noise: (C,) the same, over all rows, of which some may not count for a channel.
         readings: (Q, C) in those units.
         trial, time_s: (Q,).
+        trial_labels: of the trials in `trial`, 0 to T - 1, as the recording's user knows them.
         description: how it is compared, as a sentence.
     """
 
@@ -331,6 +343,7 @@ class MotionComparison(ABC):
     noise: Array
     readings: Array
     trial: NDArray[np.int64]
+    trial_labels: tuple[TrialLabel, ...]
     time_s: Array
     description: str
 

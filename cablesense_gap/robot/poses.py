@@ -21,12 +21,12 @@ _FEWEST_ROWS = 0.99
 _MOST_LEFT: Final = 0.2
 """Share of a frame's motion that the best joint positions leave, from which on the pose is of
 another frame, or in other axes than those of the model's base."""
-_STARTS = 24
-_STEPS = 60
+_MOST_STARTS = 24
+_MOST_STEPS = 60
 _STEPS_ON = 12
-_SMALL = 1e-10
-_DAMPING = 1e-9
-_SAME = 1e-3
+_SMALL_STEP = 1e-10
+_LEAST_DAMPING = 1e-9
+_SAME_POSTURE = 1e-3
 """Of two postures, in rad or m; postures farther apart are two."""
 _PROBED_ROWS = 50
 
@@ -151,7 +151,7 @@ class PoseKinematics:
         best = position.copy()
         off, jacobian = self._residual(best, measured)
         square = float(off @ off)
-        damping = _DAMPING
+        damping = _LEAST_DAMPING
         for _ in range(steps):
             columns = jacobian[:, sought]
             normal = columns.T @ columns
@@ -166,10 +166,10 @@ class PoseKinematics:
                 off = tried_off
                 jacobian = tried_jacobian
                 square = tried_square
-                damping = max(0.1 * damping, _DAMPING)
+                damping = max(0.1 * damping, _LEAST_DAMPING)
             else:
                 damping = max(10.0 * damping, 1e-6)
-            if np.abs(step).max(initial=0.0) < _SMALL or damping > 1e6:
+            if np.abs(step).max(initial=0.0) < _SMALL_STEP or damping > 1e6:
                 break
         return best
 
@@ -185,11 +185,11 @@ class PoseKinematics:
         low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
         high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
         postures = []
-        for number in range(_STARTS):
+        for number in range(_MOST_STARTS):
             begin = position.copy()
             if number:
                 begin[sought] = rng.uniform(low, high)[sought]
-            posture = self._descent(begin, sought, measured, _STEPS)
+            posture = self._descent(begin, sought, measured, _MOST_STEPS)
             hinge = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
             turned = hinge & ~model.jnt_limited.astype(bool)
             turned &= np.isin(np.arange(model.nv), sought)
@@ -204,7 +204,7 @@ class PoseKinematics:
         distances = [float(np.abs(each - model.qpos0)[sought].sum()) for each in within]
         nearest = within[int(np.argmin(distances))]
         apart = [float(np.abs(each - nearest)[sought].max(initial=0.0)) for each in within]
-        return nearest, max(apart) > _SAME
+        return nearest, max(apart) > _SAME_POSTURE
 
     def _refuse_undetermined(
         self,

@@ -42,14 +42,14 @@ MOST_ROWS = 5000
 _LEAST_HZ = 1.0
 _MOST_HZ = 20.0
 """Arms and their controllers are slower than this; faster ones state a bandwidth."""
-_SAMPLES = 8.0
+_SAMPLES_A_PERIOD = 8.0
 """Least number in a period at the bandwidth: derivatives are then good to 1 %."""
 _ROWS_A_PERIOD = 3.0
-_LIGHTER = 4.0
+_LIGHTER_TIMES = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
 _POWER_SHARE = 0.95
 _MOTION_SHARE = 0.9
-_HARMONICS = 2.0
+_HARMONICS_TIMES = 2.0
 """Shares of the power of torques and of speeds; friction has harmonics of the motion."""
 _SLOW_SHARE = 0.02
 """Share of a joint's usual speed below which it stands still, as friction sees it."""
@@ -57,12 +57,12 @@ _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
 _FEWEST_ROWS = 30
-_WIDER = 1.2
+_WIDER_TIMES = 1.2
 """Times the bandwidth that is tried next, where too few rows are left of a short recording."""
 _FEWEST_SAMPLES = 16
 _GLITCH_SAMPLES = 5
 _GLITCH_DEVIATIONS = 6.0
-_SHARES = 40
+_PERIODS_A_SPECTRUM = 40
 _SPECTRUM_S = 10.0
 
 
@@ -112,7 +112,7 @@ def _as_wide_as_needed(
     zeroed: bool,
     external: bool,
 ) -> Motion:
-    """As `prepared`, of a recording with torques; at a bandwidth that leaves enough rows."""
+    """Motion and torques of a recording, at the narrowest bandwidth that leaves enough rows."""
     least_hz = _LEAST_HZ
     while True:
         try:
@@ -122,7 +122,7 @@ def _as_wide_as_needed(
         except _FewRowsError as few:
             if bandwidth_hz is not None or few.at_widest:
                 raise
-            least_hz = _WIDER * few.compared_hz
+            least_hz = _WIDER_TIMES * few.compared_hz
 
 
 class _FewRowsError(RecordingError):
@@ -144,14 +144,14 @@ def _prepared(
     *,
     least_hz: float,
 ) -> Motion:
-    """As `prepared`, with a bandwidth of at least `least_hz`, where none is stated.
+    """Motion and torques of a recording; where no bandwidth is stated, one of `least_hz` or more.
 
     Raises:
         _FewRowsError: too few rows are left.
     """
     trials, interval_s = _evenly_sampled(recording)
     rate_hz = 1.0 / interval_s
-    most_hz = min(_MOST_HZ, rate_hz / _SAMPLES)
+    most_hz = min(_MOST_HZ, rate_hz / _SAMPLES_A_PERIOD)
     by_command = external or not np.isfinite(recording.torque).any()
     if by_command:
         _check_commands(recording, robot)
@@ -169,7 +169,7 @@ def _prepared(
     noise = _noise(trials, rate_hz)
     inertia = _inertia(robot, recording.position)
     smoothed_hz = _smoothing_hz(
-        noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
+        noise, inertia, trials, compared_hz, min(_LIGHTER_TIMES * compared_hz, most_hz)
     )
     sample_count = sum(len(t.time_s) for t in trials)
     step = max(1, round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)), -(-sample_count // MOST_ROWS))
@@ -182,11 +182,11 @@ def _prepared(
     rows_hz = rate_hz / step
     passes, kept = _low_passes([len(p["time_s"][::step]) for p in parts], rows_hz, compared_hz)
     joined["trial"] = trial = np.unique(joined["trial"], return_inverse=True)[1]
-    numbers, compared_trial = np.unique(trial[kept], return_inverse=True)
-    if len(kept) < _FEWEST_ROWS or len(numbers) < 2:
+    compared_trials, compared_trial = np.unique(trial[kept], return_inverse=True)
+    if len(kept) < _FEWEST_ROWS or len(compared_trials) < 2:
         raise _FewRowsError(
-            f"{recording.name}: {len(kept)} rows of {len(numbers)} trials are left of it after "
-            f"smoothing to {compared_hz:.3g} Hz, where {_FEWEST_ROWS} rows of 2 are needed; "
+            f"{recording.name}: {len(kept)} rows of {len(compared_trials)} trials are left of it "
+            f"after smoothing to {compared_hz:.3g} Hz, where {_FEWEST_ROWS} rows of 2 are needed; "
             "record more trials of several seconds",
             compared_hz,
             at_widest=compared_hz >= most_hz,
@@ -210,6 +210,7 @@ def _prepared(
         compared_hz=compared_hz,
         passes=passes,
         compared_trial=compared_trial,
+        compared_labels=tuple(smooth[number].label for number in compared_trials),
         compared_time_s=joined["time_s"][kept],
         forward=not external and (by_command if forward is None else forward),
         zeroed=zeroed,
@@ -239,7 +240,8 @@ def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
             _interpolated(time_s, recorded_s, values[rows])
             for values in (recording.position, recording.torque, recording.command)
         )
-        trials.append(Trial(number, time_s, position, _without_glitches(torque), command))
+        label = recording.trial_label(number)
+        trials.append(Trial(number, label, time_s, position, _without_glitches(torque), command))
     if not trials:
         raise _too_short(recording)
     return trials, interval_s
@@ -296,7 +298,7 @@ def _comparison_hz(trials: Sequence[Trial], rate_hz: float) -> float:
     """
     moved = np.median(_frequency_below([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
     torques = _frequency_below([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
-    return _HARMONICS * float(min(moved, torques.max()))
+    return _HARMONICS_TIMES * float(min(moved, torques.max()))
 
 
 def _frequency_below(
@@ -328,7 +330,7 @@ def _noise_density(
     Motion and its torques end below that frequency. The rest is noise; white noise has the same
     density below.
     """
-    count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
+    count = min(len(signal), max(64, int(_PERIODS_A_SPECTRUM * rate_hz / above_hz)))
     frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
     beyond = (frequency >= min(above_hz, 0.7 * frequency[-1])) & (frequency <= below_hz)
     return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))

@@ -30,19 +30,19 @@ _LEAST_PERIOD_S = 4.0
 _RAD_S = 0.5
 _M_S = 0.1
 """Peak speeds of a slow sweep of a hinge and of a slide."""
-_FAST = 2.0
-_FURTHER = (
+_FAST_PACE = 2.0
+_FURTHER_SWEEPS = (
     ("very slow sweep", 1.0, 0.3),
     ("very fast sweep", 1.0, 4.0),
     ("short sweep", 0.1, 2.0),
 )
 """Further sweeps: kind, share of the reach, and how often the usual pace."""
-_LONG = 20.0
-_TOGETHER = 4
-_TRIED = 401
+_TOGETHER_S = 20.0
+_TOGETHER_TRIALS = 4
+_TRIED_POSITIONS = 401
 """Positions of a joint at which those that follow it are looked up."""
 _SLOW_SPEED = 0.02
-_EVERY = 10
+_COMPARED_STRIDE = 10
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
     period_s = np.maximum(2.0 * np.pi * reach / speed, _LEAST_PERIOD_S)
     blocks = []
     for j in leading:
-        for kind, times in (("slow sweep", 1.0), ("fast sweep", _FAST)):
+        for kind, times in (("slow sweep", 1.0), ("fast sweep", _FAST_PACE)):
             swept = _Sweep(j, middle, float(reach[j]), period_s[j] / times)
             blocks.append(_sweep_block(robot, ties, kind, swept))
     rng = np.random.default_rng(0)
-    for _ in range(_TOGETHER):
-        time_s = np.arange(0.0, _LONG, 1.0 / RATE_HZ)
+    for _ in range(_TOGETHER_TRIALS):
+        time_s = np.arange(0.0, _TOGETHER_S, 1.0 / RATE_HZ)
         waves = np.zeros((len(time_s), len(reach)))
-        for times in (1.0, _FAST, 2.0 * _FAST):
+        for times in (1.0, _FAST_PACE, 2.0 * _FAST_PACE):
             begin = rng.uniform(0.0, 2.0 * np.pi, len(reach))
             phase_rad = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
             waves += np.sin(phase_rad) * reach / (3.0 * times)
@@ -112,7 +112,7 @@ def further_blocks(robot: Robot) -> list[RobotBlock]:
     for j in range(len(robot.joints)):
         if j in following:
             continue
-        for kind, share, times in _FURTHER:
+        for kind, share, times in _FURTHER_SWEEPS:
             swept = _Sweep(j, middle, share * float(reach[j]), period_s[j] / times)
             blocks.append(_sweep_block(robot, ties, kind, swept))
     return blocks
@@ -198,11 +198,13 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     if not rivals:
         return ""
     blocks = standard_protocol(robot)
-    position, number = _joined(blocks, _EVERY)
+    position, number = _joined(blocks, _COMPARED_STRIDE)
     moved = [derivatives(block.position, RATE_HZ) for block in blocks]
-    speed, acceleration = (np.concatenate([each[k][::_EVERY] for each in moved]) for k in range(2))
+    speed, acceleration = (
+        np.concatenate([each[k][::_COMPARED_STRIDE] for each in moved]) for k in range(2)
+    )
     trajectory = Trajectory(
-        time_s=np.arange(len(position)) * _EVERY / RATE_HZ,
+        time_s=np.arange(len(position)) * _COMPARED_STRIDE / RATE_HZ,
         trial=number,
         position=position,
         speed=speed,
@@ -240,8 +242,8 @@ def _ranges(robot: Robot, ties: Sequence[JointTie]) -> tuple[Array, Array]:
     middle = _with_followers(start[None], ties)[0]
     following = [tie.joint for tie in ties]
     for leader in sorted({tie.leader for tie in ties if tie.leader is not None} - {*following}):
-        path = np.tile(start, (_TRIED, 1))
-        path[:, leader] += reach[leader] * np.linspace(-1.0, 1.0, _TRIED)
+        path = np.tile(start, (_TRIED_POSITIONS, 1))
+        path[:, leader] += reach[leader] * np.linspace(-1.0, 1.0, _TRIED_POSITIONS)
         followed = _with_followers(path, ties)[:, following]
         inside = (followed >= low[following]) & (followed <= high[following])
         possible = path[(inside | ~limited[following]).all(axis=1), leader]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,26 +45,27 @@ from cablesense_gap.verdict import (
 )
 from cablesense_recording.csv_file import write_table
 from cablesense_recording.recording import RecordingError
+from cablesense_recording.robot_recording import TrialLabel
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
-_JUDGED = 0.1
+_JUDGED_SHARE = 0.1
 """A channel is judged if at least this share of the model's torque is left beyond an offset and
 friction."""
-_FOLLOWS = 0.8
+_FOLLOWING_CORRELATION = 0.8
 """Least correlation of a channel with the model's for its unit to be judged."""
-_OTHER_UNIT = 5.0
+_OTHER_UNIT_RATIO = 5.0
 """Ratio of a channel and the model's from which on its unit is doubtful."""
-_NO_TORQUE = 0.01
+_NO_TORQUE_SHARE = 0.01
 """Share of the largest torque at a joint of the model below which a joint has none to compare."""
-_PROBED = 0.01
+_PROBED_ZERO = 0.01
 """Error of a zero by which its influence is found, rad or m."""
-_USUAL = 0.1
+_USUAL_ZERO = 0.1
 """Error of a zero that is usual in a trial, rad or m."""
 
-_FITS = 2.0
+_FITTING_FLOORS = 2.0
 """Floors that a hypothesis leaves at most at a joint where the model is exact."""
-_MODEL_ERROR = 0.1
+_MODEL_ERROR_SHARE = 0.1
 """Share of the torque that models of real machines leave: the middle of the usual 5 to 15 %."""
 
 _Zeros = tuple[NDArray[np.bool_], Array, Array]
@@ -72,7 +74,10 @@ _Zeros = tuple[NDArray[np.bool_], Array, Array]
 class RobotSystem(System):
     """A robot with its motion as it was measured; all rows count.
 
-    Attributes: see `System`, and
+    Channels are in units of their floors.
+
+    Attributes:
+        robot: the nominal one.
         listed: effects that the nominal robot has.
         motion: as it was measured.
         comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
@@ -123,7 +128,10 @@ class RobotSystem(System):
             self._zeros = self._of_zeros()
 
     def _candidate(self, effect: RobotEffect, motion: Motion) -> Candidate:
-        """As it is offered; forward in time most friction is MuJoCo's, which gives no way."""
+        """An effect with its places and numbers.
+
+        Forward in time most friction is MuJoCo's, which gives no way.
+        """
         parameters = effect.parameters(self.robot, motion.scale)
         if motion.forward and not effect.presliding_forward:
             parameters = tuple(p for p in parameters if p.role == "size")
@@ -184,12 +192,14 @@ class RobotSystem(System):
             change.zero[joint] += off
             return self.comparison.predicted(change) / self.comparison.noise
 
-        ends = [[read(k, off) for k in range(len(joints))] for off in (_PROBED, -_PROBED)]
-        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
+        ends = [
+            [read(k, off) for k in range(len(joints))] for off in (_PROBED_ZERO, -_PROBED_ZERO)
+        ]
+        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED_ZERO)
         zeros_by_trial: list[_Zeros] = []
         for rows in (trial == number for number in np.unique(trial)):
             trial_columns = by_zero[:, rows].reshape(len(joints), -1).T
-            known = trial_columns.T @ trial_columns + np.eye(len(joints)) / _USUAL**2
+            known = trial_columns.T @ trial_columns + np.eye(len(joints)) / _USUAL_ZERO**2
             zeros_by_trial.append(
                 (rows, trial_columns, np.asarray(np.linalg.solve(known, trial_columns.T)))
             )
@@ -252,9 +262,12 @@ class RobotSystem(System):
         """A tenth of the torque, if the best hypothesis is far from every joint's floor."""
         best = min(found, key=lambda each: each.held_out_rmse)
         residual_rms = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
-        if not isinstance(self.comparison, InverseComparison) or residual_rms.min() < _FITS:
+        if (
+            not isinstance(self.comparison, InverseComparison)
+            or residual_rms.min() < _FITTING_FLOORS
+        ):
             return None
-        return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
+        return np.asarray(_MODEL_ERROR_SHARE * np.sqrt((self.readings**2).mean(0)))
 
     def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """With richer forms of friction; far tolerances, implausible sizes and places count."""
@@ -287,8 +300,9 @@ class RobotSystem(System):
         by_trial = np.bincount(self.trial, (residual**2).mean(1))
         size = np.sqrt(by_trial / np.bincount(self.trial))
         most = f"Most is left at {self.comparison.names[worst]}: {residual_rms[worst]:.3g} floors."
+        label = self.comparison.trial_labels[int(size.argmax())]
         again = (
-            f"Repeat trial {size.argmax()}, which has the largest residual ({size.max():.3g} "
+            f"Repeat trial {label}, which has the largest residual ({size.max():.3g} "
             "floors), then at half the speed and with one joint at a time. A residual that "
             "depends on position is a spring, a stop or a ripple. One that depends on the "
             "direction is friction, and one that grows with time is heat or drift."
@@ -306,6 +320,11 @@ class RobotSystem(System):
         """Position and speed of a joint have their causes together."""
         joints = [self.robot.joints.index(name.split(".")[-1]) for name in self.comparison.names]
         return (np.unique(joints, return_inverse=True)[1].astype(np.int64),)
+
+    def trial_labels(self, parts: Sequence[int]) -> tuple[TrialLabel, ...]:
+        """Those of the recording's files, in the order of its rows."""
+        labels = self.comparison.trial_labels
+        return tuple(dict.fromkeys(labels[part] for part in parts))
 
     def channels(self, before: Array, after: Array, floor: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
@@ -344,7 +363,7 @@ class RobotSystem(System):
             )
             columns -= joint_nuisances @ np.linalg.lstsq(joint_nuisances, columns, rcond=None)[0]
             measured, modelled, acceleration = columns.T
-            is_judged = np.linalg.norm(modelled) > _JUDGED * np.linalg.norm(predicted[:, c])
+            is_judged = np.linalg.norm(modelled) > _JUDGED_SHARE * np.linalg.norm(predicted[:, c])
             if is_judged and is_reversed(measured, modelled, acceleration):
                 complaints.append(
                     f"{self.comparison.columns[c]} looks as if it had the other sign"
@@ -356,7 +375,7 @@ class RobotSystem(System):
         return [
             f"{column} is {ratio:.2g} times the model's value: check its unit."
             for column, ratio in self._ratios().items()
-            if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
+            if not 1.0 / _OTHER_UNIT_RATIO < ratio < _OTHER_UNIT_RATIO
         ]
 
     def _ratios(self) -> dict[str, float]:
@@ -370,8 +389,11 @@ class RobotSystem(System):
         units = np.array(self.comparison.units)
         largest = np.array([torque[units == unit].max() for unit in units])
         ratios = {}
-        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE * largest)):
-            if self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]:
+        for c in np.flatnonzero(measured * modelled * (torque >= _NO_TORQUE_SHARE * largest)):
+            if (
+                self.readings[:, c] @ predicted[:, c]
+                > _FOLLOWING_CORRELATION * measured[c] * modelled[c]
+            ):
                 ratios[self.comparison.columns[c]] = float(measured[c] / modelled[c])
         return ratios
 
@@ -587,7 +609,8 @@ def write_prediction(path: Path, system: RobotSystem) -> None:
     """
     compared = system.comparison
     predicted = system.nominal
-    columns = {"time_s": compared.time_s, "trial": compared.trial}
+    labels = [compared.trial_labels[number] for number in compared.trial]
+    columns: dict[str, Any] = {"time_s": compared.time_s, "trial": labels}
     for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
         columns[column] = compared.readings[:, c]
         columns[f"predicted.{name}"] = predicted[:, c]

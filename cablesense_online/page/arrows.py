@@ -50,6 +50,8 @@ def arrow_m(contact_m: Array, force_n: Array, clearance_m: float, arrows: Arrows
     return np.stack([tip - arrows.length_m(np.linalg.norm(force_n)) * direction, tip])
 
 
+CLEARANCE = 1.1
+"""Distance of an arrow's tip from the axis, over the radius of the link."""
 INTERVAL_LINES = 66
 """Half of them for each arc."""
 

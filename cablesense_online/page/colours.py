@@ -12,12 +12,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cablesense_base import Array
+
 Rgb = tuple[int, int, int]
 
 TRUE_RGB: Rgb = (230, 159, 0)
 """Colour of true forces; these are colours that colour-blind people tell apart (Okabe and Ito)."""
 ESTIMATE_RGB: Rgb = (86, 180, 233)
 """Colour of estimated forces."""
+_UNREAD_RGB: Rgb = (150, 150, 158)
+"""Colour of a cable that nothing reads."""
 _SEGMENT_RGB: tuple[Rgb, ...] = ((86, 180, 233), (0, 178, 128), (240, 228, 66), (224, 140, 190))
 """Colours of segments in charts, in turn."""
 
@@ -35,6 +39,18 @@ def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]
     stop_shares = np.linspace(0.0, 1.0, len(_TENSION_STOPS))
     rgb = [np.interp(share, stop_shares, channel) for channel in _TENSION_STOPS.T]
     return np.rint(np.stack(rgb, axis=-1)).astype(np.uint8)
+
+
+def piece_rgb(
+    readings: Array, piece_channel: NDArray[np.int64], full_scale_n: float
+) -> NDArray[np.uint8]:
+    """Colours (P, 3) of the pieces of cables, by the readings (M,) of their channels.
+
+    `piece_channel` is (P,), -1 for pieces that nothing reads.
+    """
+    rgb = tension_rgb(readings[np.maximum(piece_channel, 0)], full_scale_n)
+    rgb[piece_channel < 0] = _UNREAD_RGB
+    return rgb
 
 
 def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

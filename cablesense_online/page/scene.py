@@ -17,6 +17,7 @@ from cablesense_base import Array
 from cablesense_contact.felt import LinksAtPose
 from cablesense_msgs_py.messages import Contact
 from cablesense_online.page.arrows import (
+    CLEARANCE,
     INTERVAL_LINES,
     Arrows,
     arrow_m,
@@ -24,7 +25,7 @@ from cablesense_online.page.arrows import (
     place_m,
     pulled_contact,
 )
-from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb, tension_rgb
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb
 from cablesense_online.page.figures import newtons_text
 from cablesense_online.page.shown import (
     Cylinder,
@@ -55,8 +56,6 @@ _AXES_RADIUS = 0.006
 """Of these axes."""
 _SQUARES_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Sides that the squares of the ground may have."""
-_UNREAD_RGB: Rgb = (150, 150, 158)
-"""Colour of a cable that nothing reads."""
 _POSE_DIGITS = 5
 """Joint positions, rad or m, are rounded to this many digits: smaller changes are not drawn."""
 _ALONG_X = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
@@ -65,8 +64,6 @@ _REGION_SHARE = 1.35
 """Radius of the band of a contact's place, over that of the link."""
 _REGION_OPACITY = 0.5
 """Of this band: the link stays visible."""
-_CLEARANCE = 1.1
-"""Distance of an arrow's tip from the axis, over the radius of the link."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ class MachineScene:
         drawn = shown.drawn_at(first_pose)
         self._links = drawn.links
         self._frame_axes = drawn.links.axes
-        self._clearance_m = _CLEARANCE * shown.surface_m
+        self._clearance_m = CLEARANCE * shown.surface_m
         self._add_ground()
         self._add_axes()
         self._bodies = [scene.add_frame(name, show_axes=False) for name in shown.bodies]
@@ -208,9 +205,7 @@ class MachineScene:
 
     def _cable_colours(self, readings: Array, full_scale_n: float) -> NDArray[np.uint8]:
         """(P, 2, 3) of the cables' pieces."""
-        channel = self._shown.piece_channel
-        rgb = tension_rgb(readings[np.maximum(channel, 0)], full_scale_n)
-        rgb[channel < 0] = _UNREAD_RGB
+        rgb = piece_rgb(readings, self._shown.piece_channel, full_scale_n)
         return np.repeat(linear_rgb(rgb)[:, None], 2, axis=1)
 
     def _show_region(self, region: Sequence[PlaceInterval], links: LinksAtPose) -> None:

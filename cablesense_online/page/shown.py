@@ -22,6 +22,9 @@ from cablesense_online.page.colours import Rgb
 from cablesense_online.page.headline import Words
 from cablesense_online.page.snapshot import PlaceInterval
 
+STEP_DEG = 0.5
+"""Of the sliders of angles."""
+
 
 @dataclass(frozen=True)
 class Sphere:

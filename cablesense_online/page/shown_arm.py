@@ -18,6 +18,7 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.page.colours import Rgb
 from cablesense_online.page.headline import Words
 from cablesense_online.page.shown import (
+    STEP_DEG,
     CommandSlider,
     Cylinder,
     DrawnPose,
@@ -38,8 +39,6 @@ from cablesense_sim.touch import touched_places
 
 JOINT_LIMIT_DEG = 20.0
 """Largest angle that the sliders offer."""
-_STEP_DEG = 0.5
-"""Of these sliders."""
 _LEAST_SCALE_N = 100.0
 """Full scale of tensions, at least."""
 _LEAST_FELT_N = 1e-3
@@ -183,7 +182,7 @@ def _sliders(arm: Arm, mechanism: Mechanism) -> tuple[CommandSlider, ...]:
         f"joint {1 + n // 2} {'yaw' if n % 2 else 'pitch'}, °" for n in range(arm.joint_count)
     ]
     return tuple(
-        CommandSlider(label, -limit_deg, limit_deg, _STEP_DEG, 0.0, math.degrees(1.0))
+        CommandSlider(label, -limit_deg, limit_deg, STEP_DEG, 0.0, math.degrees(1.0))
         for label in labels
     )
 

@@ -17,7 +17,7 @@ from cablesense_msgs_py.messages import Load, read_load
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.page.headline import Words
 from cablesense_online.page.model_drawing import model_extent, model_solids, tendon_pieces
-from cablesense_online.page.shown import CommandSlider, DrawnPose, Label, ReadingPanel
+from cablesense_online.page.shown import STEP_DEG, CommandSlider, DrawnPose, Label, ReadingPanel
 from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_online.placed_links import PlacedLinks
 from cablesense_sim.machine.description import MachineError
@@ -32,9 +32,8 @@ _WIDEST_RAD = math.radians(45.0)
 """The same where it limits one: further away tendons of many machines go slack."""
 _FREE_RANGE_M = 0.002
 """The same of a slide, or of a length that an actuator is commanded."""
-_STEP_DEG = 0.5
 _STEP_MM = 0.01
-"""Steps of the sliders."""
+"""Of the sliders of lengths."""
 _MM = 1e3
 """In a metre."""
 _TENSION_SHARE = 1.25
@@ -184,7 +183,7 @@ def _slider(
     limits: tuple[float, float] | None = None,
 ) -> CommandSlider:
     """Of a number from `reach` below home to `reach` above it, in its command's unit."""
-    step = _STEP_DEG if label.endswith("°") else _STEP_MM
+    step = STEP_DEG if label.endswith("°") else _STEP_MM
     lowest = home - reach
     highest = home + reach
     if limits is not None:

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.page.arrows import Arrows, arrow_m, interval_m
-from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, full_scale_n, tension_rgb
+from cablesense_online.page.arrows import CLEARANCE, Arrows, arrow_m, interval_m
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, full_scale_n, piece_rgb
 from cablesense_online.page.shown import Cylinder, DrawnPose, Mesh, ShownMachine, Solid, Sphere
 from cablesense_online.page.snapshot import Snapshot
 
@@ -34,8 +34,6 @@ _THINNEST_REGION = 0.01
 _REGION_SHARE = 1.3
 """Radius of this band, over that of the link."""
 _REGION_OPACITY = 0.6
-_CLEARANCE = 1.1
-"""Distance of an arrow's tip from the axis, over the radius of the link."""
 _VIEW_ANGLE_DEG = 35.0
 _DISTANCE = 1.4
 """From the camera to the machine's middle, in sizes of the machine."""
@@ -52,8 +50,6 @@ _SKY_RGB: Rgb = (62, 70, 86)
 _GROUND_RGB: Rgb = (24, 27, 33)
 _SKY_PX = 64
 """Size of the background's texture."""
-_UNREAD_RGB: Rgb = (150, 150, 158)
-"""Colour of a cable that nothing reads."""
 
 
 class PictureError(CableSenseError):
@@ -202,7 +198,7 @@ def _add_all(scene: mujoco.MjvScene, shown: ShownMachine, snapshot: Snapshot, po
             force_n,
             contact.angle_deg,
             snapshot.bounds,
-            _CLEARANCE * float(shown.surface_m[n]),
+            CLEARANCE * float(shown.surface_m[n]),
             arrows,
         )
         for line in lines:
@@ -218,7 +214,7 @@ def _arrow(
     links = pose.drawn.links
     point_m = links.origin_m[n] + (contact.contact_m + aside_m) * links.axes[n, :, 0]
     force_n = pose.frame_axes[n] @ np.array(contact.wrench[:3])
-    clearance_m = _CLEARANCE * float(shown.surface_m[n])
+    clearance_m = CLEARANCE * float(shown.surface_m[n])
     return arrow_m(point_m, force_n, clearance_m, arrows), (point_m, force_n)
 
 
@@ -229,8 +225,7 @@ def _add_cables(
     if not len(channel) or snapshot.readings is None:
         return
     scale_n = full_scale_n(float(snapshot.readings.max()), shown.panels[0].least)
-    colours = tension_rgb(snapshot.readings[np.maximum(channel, 0)], scale_n)
-    colours[channel < 0] = _UNREAD_RGB
+    colours = piece_rgb(snapshot.readings, channel, scale_n)
     radius_m = _CABLE_RADIUS * shown.extent.size_m
     for ends, (red, green, blue) in zip(drawn.piece_m, colours.tolist(), strict=True):
         if np.linalg.norm(ends[1] - ends[0]) > 0.0:

@@ -150,15 +150,15 @@ Result = tuple[str, dict[str, Any]]
 
 def _table2(model: str) -> Result:
     from cablesense_contact.inference.metadata import find_model
+    from cablesense_contact.inference.single_contact import open_estimator
     from cablesense_training.evaluation.comparison import (
         DOWN_DEG,
         SHIPPED,
         TABLE2_MODELS,
         evaluate_table2,
-        open_single,
     )
 
-    opened = open_single(find_model(model or TABLE2_MODELS[SHIPPED]))
+    opened = open_estimator(find_model(model or TABLE2_MODELS[SHIPPED]))
     content = [
         {
             "true_segment": row.load.segment,
@@ -200,7 +200,7 @@ def _judged(model: str, arm: str) -> Judged:
         loaded = load_machine(arm, model)
         return Judged(loaded.path, loaded.law, loaded.machine, loaded.described)
     from cablesense_contact.inference.metadata import find_model
-    from cablesense_gap.recorded_contacts import open_estimator
+    from cablesense_contact.inference.single_contact import open_estimator
 
     estimator = open_estimator(find_model(model))
     own_arm = estimator.metadata.arm
@@ -243,9 +243,9 @@ def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
     """A model on fresh samples: of the law's arm, or like those of a network's training."""
     from cablesense_contact.inference.law_model import LawModel
     from cablesense_contact.inference.metadata import find_model
-    from cablesense_training.evaluation.comparison import open_single
+    from cablesense_contact.inference.single_contact import open_estimator
 
-    opened = open_single(find_model(model))
+    opened = open_estimator(find_model(model))
     described = opened.metadata
     title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
     if isinstance(opened, LawModel):

@@ -341,7 +341,7 @@ def _predicted_arm(
         )
     with console.status("predicting"):
         described = settled(described, recorded, settle)
-        tensions_n = replay_arm(described, *recorded.inputs)
+        tensions_n = replay_arm(described, recorded.course)
     write_csv(out, replace(recorded, tensions_n=tensions_n))
     counted = counted_rows(described, recorded, tensions_n)
     counted[:settle] = False
@@ -390,8 +390,8 @@ def adapt(
     """
     from cablesense_contact.calibration_file import write_calibration
     from cablesense_contact.inference.metadata import find_model
+    from cablesense_contact.inference.single_contact import open_estimator
     from cablesense_gap.adaptation import adapt as make
-    from cablesense_gap.recorded_contacts import open_estimator
     from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline

@@ -237,7 +237,7 @@ def record(
     recording = read_recording(out, description)
     rows = rows_to_use(recording)
     used = recording.rows(rows)
-    nominal_n = replay_arm(description.nominal, *used.inputs)
+    nominal_n = replay_arm(description.nominal, used.course)
     for finding in check_recording(recording, description, nominal_n, rows):
         what = "refuse" if finding.refuses else "warn"
         console.print(f"{what}: {finding.text}", soft_wrap=True, markup=False)

@@ -49,7 +49,7 @@ def arm_table():
     columns = {"time_s": ARM_STEP_S * np.arange(ARM_ROWS), "trial": np.arange(ARM_ROWS) // 24}
     columns |= dict(zip(ARM_COMMANDS, held.T, strict=True))
     unread = dict.fromkeys(ARM_TENSIONS, np.zeros(ARM_ROWS))
-    tensions = replay_arm(LAB, *arm_recording(pd.DataFrame(columns | unread)).inputs)
+    tensions = replay_arm(LAB, arm_recording(pd.DataFrame(columns | unread)).course)
     noisy = tensions + rng.normal(0.0, 0.02, tensions.shape)
     return pd.DataFrame(columns | dict(zip(ARM_TENSIONS, noisy.T, strict=True)))
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.course import Course
 from cablesense_sim.effects.registry import EffectEntry, checked_entry
 from cablesense_sim.replay import Replay
 
@@ -42,9 +43,11 @@ def course(commands: np.ndarray, loads: np.ndarray, period_s: float = 0.2) -> Re
     rows = max(len(commands), len(loads))
     return Replay(
         ARM,
-        period_s * np.arange(rows),
-        np.broadcast_to(commands, (rows, ARM.joint_count)).copy(),
-        np.broadcast_to(loads, (rows, ARM.segment_count, 3)).copy(),
+        Course(
+            period_s * np.arange(rows),
+            np.broadcast_to(commands, (rows, ARM.joint_count)).copy(),
+            np.broadcast_to(loads, (rows, ARM.segment_count, 3)).copy(),
+        ),
     )
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,8 +25,8 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.inference.law_model import LawModel
-from cablesense_contact.inference.metadata import ANYWHERE, find_model
-from cablesense_contact.inference.model_file import read_model
+from cablesense_contact.inference.metadata import find_model
+from cablesense_contact.inference.single_contact import open_estimator
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -181,23 +180,12 @@ def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Ev
     """Bundled models of one contact, or files, on a dataset of their arm."""
     evaluations = {}
     for name, model in models.items():
-        opened = open_single(find_model(model), dataset.arm)
+        opened = open_estimator(find_model(model), dataset.arm)
         if isinstance(opened, LawModel):
             evaluations[name] = evaluate_law(opened, dataset)
         else:
             evaluations[name] = evaluate_estimator(opened, dataset)
     return evaluations
-
-
-def open_single(path: Path, arm: Arm | None = None) -> LawModel | Estimator:
-    """Open the law, or a network of one contact, for a certain arm where one is given.
-
-    Raises:
-        ModelFileError: the file is neither, or not for this arm.
-    """
-    if read_model(path)[1].kind == ANYWHERE:
-        return LawModel(path, arm)
-    return Estimator.load(path, arm)
 
 
 def evaluate_multi_answer(

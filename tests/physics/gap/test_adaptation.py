@@ -45,7 +45,7 @@ def having(arm: Arm, *effects: ListedEffect) -> Arm:
 
 
 def recorded(arm: Arm, made: Recording = SHORT) -> Recording:
-    true_n = replay_arm(arm, *made.inputs)
+    true_n = replay_arm(arm, made.course)
     readings = read_tensions_n(true_n, arm.sensors, np.random.default_rng(0))
     return replace(made, tensions_n=readings)
 

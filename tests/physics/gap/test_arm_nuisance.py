@@ -68,8 +68,7 @@ def test_the_terms_do_to_an_arm_what_the_parameters_do():
     held_m = held_lengths_m(
         PARAMETERS.built(0.0 * theta), RECORDING.command_rad + PARAMETERS.joint_zeros_rad(theta)
     )
-    _, command_rad, forces_n, _ = RECORDING.inputs
-    rest = solve_equilibrium(mechanism, command_rad, forces_n, held_m=held_m)
+    rest = solve_equilibrium(mechanism, RECORDING.command_rad, RECORDING.forces_n, held_m=held_m)
     (read_n,) = ArmSimulator(BUILT, RECORDING).predict([as_terms(theta)])
     assert_allclose(read_n, PARAMETERS.read(theta, rest.tensions_n), atol=1e-4)
 

@@ -49,7 +49,7 @@ def having(*listed):
 
 
 def replayed(arm, recording=RECORDING):
-    return replay_arm(arm, *recording.inputs)
+    return replay_arm(arm, recording.course)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_rows_in_which_a_segment_may_have_turned_to_either_side_do_not_count():
     for side in (-0.03, 0.03):
         begun = np.tile([0.0, side], (5, 4))
         rest = solve_equilibrium(
-            mechanism_of(LAB), 0.0 * begun, recording.inputs[2], start_rad=begun
+            mechanism_of(LAB), 0.0 * begun, recording.course.forces_n, start_rad=begun
         )
         counted.append(rest.tensions_n)
     same = np.isclose(*counted, atol=1e-3).all(axis=1)
@@ -265,7 +265,7 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
         rest = solve_equilibrium(
             mechanism_of(soft),
             recording.command_rad[row:][:1],
-            recording.inputs[2][row:][:1],
+            recording.course.forces_n[row:][:1],
             start_rad=start_rad,
         )
         start_rad = rest.joint_angles_rad

@@ -106,7 +106,7 @@ def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zer
 def test_the_amended_arm_reads_as_the_recorded_one():
     """Fitted tolerances are linear, and bend the arm: the difference is less than the noise."""
     diagnosis = loaded()
-    replayed = replay_arm(diagnosis.amended, *diagnosis.recording.inputs)
+    replayed = replay_arm(diagnosis.amended, diagnosis.recording.course)
     left_n = diagnosis.recording.tensions_n - replayed
     assert np.sqrt((left_n**2).mean()) < 1.5 * diagnosis.verdict.gap.floor_n
 
@@ -123,7 +123,7 @@ def test_a_reference_teaches_what_the_nominal_arm_lacks():
     healthy, again = (
         ArmSystem(LAB, replace(r, tensions_n=r.tensions_n + 4e-3 * (nominal_n - 50.0) ** 2))
         for r in (made({}), made({}, course=small_recording(peak_n=20.0)))
-        for nominal_n in (replay_arm(LAB, *r.inputs),)
+        for nominal_n in (replay_arm(LAB, r.course),)
     )
     reference = Reference(healthy)
     assert reference.left.left_n < 0.5 * reference.left.before_n

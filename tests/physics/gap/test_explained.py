@@ -7,7 +7,15 @@ import pytest
 
 from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
-from cablesense_gap.explained import gap_size, remainder, removes, rmse_interval_n, shares, trades
+from cablesense_gap.explained import (
+    Changes,
+    gap_size,
+    remainder,
+    removes,
+    rmse_interval_n,
+    shares,
+    trades,
+)
 from tests.helpers.gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
@@ -27,7 +35,7 @@ def test_a_share_is_the_change_of_predictions_without_the_effect(problem):
     best = refit(problem, TRUTH, 4)
     rival = refit(problem, {amount("gain", "b"): 2.0}, 4)
     ranked = [Ranked(best.effects, 0.8, best), Ranked(rival.effects, 0.15, rival)]
-    budget = shares(problem, ranked, best.values)
+    budget = shares(Changes(problem, best), ranked, best.values)
     assert list(budget) == ["gain", "other"]
     for effect, planted in PLANTED.items():
         assert budget[effect].share_n == pytest.approx(size_of(planted), rel=0.03)
@@ -51,12 +59,12 @@ def test_the_unexplained_part_is_stated(problem):
 
 def test_effects_remove_something_or_are_not_named(problem):
     right = refit(problem, TRUTH, 4)
-    assert removes(problem, right)
+    assert removes(Changes(problem, right))
     # an effect that is not there, beside one that is: its share is within its own deviation
     idle = refit(problem, TRUTH | {amount("gain", "a"): 0.0, amount("gain", "c"): 0.0}, 4)
-    assert removes(problem, idle)  # places of one effect count together
+    assert removes(Changes(problem, idle))  # places of one effect count together
     smaller = {amount("other", "b"): 0.3}
-    assert not removes(problem, refit(problem, smaller, 4))
+    assert not removes(Changes(problem, refit(problem, smaller, 4)))
 
 
 def test_a_size_that_may_be_zero_is_not_named():
@@ -65,8 +73,8 @@ def test_a_size_that_may_be_zero_is_not_named():
     with_other = refit(problem, {amount("gain", "b"): 0.5, amount("other", "a"): 0.001}, 4)
     fitted_size = abs(with_other.values[amount("other", "a")])
     assert fitted_size < with_other.deviations[amount("other", "a")]
-    assert not removes(problem, with_other)
-    assert removes(problem, refit(problem, {amount("gain", "b"): 0.5}, 4))
+    assert not removes(Changes(problem, with_other))
+    assert removes(Changes(problem, refit(problem, {amount("gain", "b"): 0.5}, 4)))
 
 
 NEAR = SIGNALS[1] + 0.05 * SIGNALS[5]
@@ -83,7 +91,7 @@ def fitted_together(second):
 
 def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
     problem, best = fitted_together(NEAR)
-    (trade,) = trades(problem, best)
+    (trade,) = trades(Changes(problem, best))
     traded = trade.traded
     assert traded.effects == ("gain", "other")
     assert traded.correlation < -0.9
@@ -94,7 +102,7 @@ def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
     moved = problem.simulator.predict([trade.elsewhere])[0] - best.without_nuisance
     assert size_of(moved) < 0.2 * together
     assert abs(trade.elsewhere[amount("other", "a")] - best.values[amount("other", "a")]) > 0.05
-    assert trades(*fitted_together(SIGNALS[5])) == []
+    assert trades(Changes(*fitted_together(SIGNALS[5]))) == []
 
 
 CABLES = 3

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from cablesense_gap.diagnosis.extent import Extent, over_all_readings, without_extent
 from cablesense_gap.diagnosis.fitting import refit
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    UNKNOWN_ALONE,
+    Fits,
     bundled_calibration,
     log_weights_alone,
     log_weights_beside_unlisted,
@@ -83,7 +84,7 @@ def test_a_listed_effect_is_certain_although_one_trial_has_more():
 def test_nothing_listed_is_named_where_nothing_listed_acts():
     for unlisted in (in_channel(1), in_trial(4), UNLISTED):
         answer = answered({}, unlisted)
-        assert answer.ranked[0].effects == UNKNOWN
+        assert answer.ranked[0].effects == UNKNOWN_ALONE
         assert answer.beside is None
 
 
@@ -144,7 +145,7 @@ def test_beside_something_unlisted_effects_that_leave_less_weigh_more(floors, sh
     ]
     unlisted_rmse = np.array([h.held_out_rmse for h in [none, *listed]])
     weights = log_weights_beside_unlisted(
-        [none, *listed], unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
+        Fits.of([none, *listed]), unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
     )[1:]
     in_order = np.argsort([-h.held_out_rmse for h in listed])
     assert (np.diff(weights[in_order]) >= 0.0).all()
@@ -160,7 +161,7 @@ def test_an_extent_that_is_like_the_rest_says_no_more_than_all_readings(floors, 
 
     def weight(share, log_choices):
         weights = log_weights_beside_unlisted(
-            [none, gain], unlisted_rmse, share, log_choices, FLOOR, BUNDLED
+            Fits.of([none, gain]), unlisted_rmse, share, log_choices, FLOOR, BUNDLED
         )
         return weights[1]
 
@@ -176,7 +177,7 @@ def test_an_effect_that_removes_what_an_imitation_does_makes_no_unlisted_one_lik
     imitation = hypothesis("gain", left=1000.0 * FLOOR * BUNDLED.share)
     unlisted_rmse = np.array([h.held_out_rmse for h in (none, imitation)])
     weights = log_weights_beside_unlisted(
-        [none, imitation], unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
+        Fits.of([none, imitation]), unlisted_rmse, 1.0, 0.0, FLOOR, BUNDLED
     )
     expected = -BUNDLED.one - BUNDLED.size * imitation.sizes
     assert weights[1] - weights[0] == pytest.approx(expected, abs=1e-3)

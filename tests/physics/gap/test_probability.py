@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.probability import (
-    UNKNOWN,
+    UNKNOWN_ALONE,
     Ranked,
     ambiguity,
     bundled_calibration,
@@ -79,7 +79,7 @@ def test_of_two_that_reach_the_floor_the_one_with_fewer_sizes_is_first():
         (3.0, {"a": FLOOR, "b": 2.5, "b_c": 2.0}, ("a",)),
         (3.0, {"a": 0.2, "a_b": 0.2}, ("a",)),
         (3.0, {"a": 1.5, "b": 2.0, "a_b": FLOOR}, ("a", "b")),
-        (3.0, {"a": 2.9, "b": 2.9, "a_b": 2.8}, UNKNOWN),
+        (3.0, {"a": 2.9, "b": 2.9, "a_b": 2.8}, UNKNOWN_ALONE),
     ],
     ids=["nothing left", "one is enough", "the second adds nothing", "two", "none helps"],
 )
@@ -163,6 +163,6 @@ def test_effects_near_none_are_worth_another_experiment():
     no_effects = Ranked(("none",), 0.59, leaving(0.1))
     payload = Ranked(("a",), 0.17, leaving(0.1, "a"))
     tilt = Ranked(("b",), 0.02, leaving(0.1, "b"))
-    unknown = Ranked(UNKNOWN, 0.2, None)
+    unknown = Ranked(UNKNOWN_ALONE, 0.2, None)
     assert near_none([no_effects, unknown, payload, tilt]) == (payload,)
     assert near_none([payload, no_effects]) == ()

@@ -31,7 +31,7 @@ from tests.helpers.gap_recordings import CYCLE, LAB, small_recording
 
 def read_from(made: Recording) -> Recording:
     """As the laboratory's arm would read it."""
-    true_n = replay_arm(LAB, *made.inputs)
+    true_n = replay_arm(LAB, made.course)
     readings = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
     return replace(made, tensions_n=readings)
 

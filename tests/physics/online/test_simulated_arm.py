@@ -17,6 +17,7 @@ from cablesense_online.simulated_arm import RealTimePacer, SimulatedArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.built_arm import built_arm
+from cablesense_sim.course import Course
 from cablesense_sim.dynamics import ArmDynamics, moving_arm
 from cablesense_sim.effects.registry import known_effects, sensings
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
@@ -212,6 +213,6 @@ def test_at_rest_the_node_reads_what_the_replay_reads(name):
     times, commands, loads, readings = map(np.array, zip(*rows, strict=True))
     if known_effects()[name].acts_on == "load":  # of recordings; simulated loads act as they are
         arm = plain
-    expected = replay_arm(arm, times, commands, loads)
+    expected = replay_arm(arm, Course(times, commands, loads))
     for at_rest in (4, -1):
         np.testing.assert_allclose(readings[at_rest], expected[at_rest], atol=1e-3)

@@ -72,7 +72,7 @@ def test_an_arm_of_another_kind_is_read_and_predicted(tmp_path: Path, changes: A
     write_arm(file, arm, "")
     (answer,) = record_cases(tmp_path, tmp_path / "a.csv", read_nominal(file), 1, 4, ["none"])
     read = read_recording(tmp_path / "case_001.csv", arm)
-    predicted_n = replay_arm(arm, *read.inputs)
+    predicted_n = replay_arm(arm, read.course)
     assert check_recording(read, arm, predicted_n) == []
     counted = counted_rows(arm, read, predicted_n)
     left_n = (read.tensions_n - predicted_n)[counted]

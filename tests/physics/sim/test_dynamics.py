@@ -7,6 +7,7 @@ import pytest
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
+from cablesense_sim.course import Course
 from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
@@ -134,7 +135,9 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
             moving.load(3, loads[row, 2])
             moving.advance(time - moving.time_s)
         tensions.append(moving.tensions_n)
-    np.testing.assert_allclose(tensions, replay_arm(arm, times, commands, loads), atol=1e-3)
+    np.testing.assert_allclose(
+        tensions, replay_arm(arm, Course(times, commands, loads)), atol=1e-3
+    )
 
 
 def test_reset_forgets_the_past() -> None:

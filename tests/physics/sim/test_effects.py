@@ -224,8 +224,10 @@ def test_in_a_replay_a_play_changes_what_its_cable_is_held_at() -> None:
     there = bent(2)
     replay = course(np.array([STRAIGHT, there, STRAIGHT]), push(2, [0.0, 5.0, 0.0]))
     read_n = readings(replay, play(play_m=2e-4))
-    lengths = held_lengths_m(MECHANISM, replay.command_rad)
+    lengths = held_lengths_m(MECHANISM, replay.course.command_rad)
     sign = np.sign(lengths[1, 2])
     lengths[:, 2] += [0.0, -sign * 1e-4, sign * 1e-4]  # half the play behind, either way
-    rest = solve_equilibrium(MECHANISM, replay.command_rad, replay.forces_n, held_m=lengths)
+    rest = solve_equilibrium(
+        MECHANISM, replay.course.command_rad, replay.course.forces_n, held_m=lengths
+    )
     np.testing.assert_allclose(read_n, rest.tensions_n, atol=1e-6)

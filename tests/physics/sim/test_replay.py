@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import Sensors, open_arm
+from cablesense_sim.course import Course
 from cablesense_sim.effects.effect import Effect
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -77,23 +78,24 @@ CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}
 @pytest.mark.parametrize("effects", [[], [FRICTION], [CREEP]], ids=["none", "friction", "creep"])
 def test_a_stated_place_is_a_contact_point_there(effects: list[dict[str, object]]) -> None:
     """One after the other: with a state, every place begins where the last has ended."""
-    run = 0.2 * np.arange(len(COMMANDS)), COMMANDS, LOADS
+    run = Course(0.2 * np.arange(len(COMMANDS)), COMMANDS, LOADS)
     arm = variant({"effects": effects}, "cdsm_lab")
     for at_m in (0.0, 0.03, 0.12):
         there = variant({"effects": effects, "segments.contact_m": max(at_m, 1e-9)}, "cdsm_lab")
-        replayed = replay_arm(arm, *run, np.full((len(LOADS), 4), at_m))
-        np.testing.assert_allclose(replayed, replay_arm(there, *run), atol=1e-5)
-    unstated = replay_arm(arm, *run, np.full((len(LOADS), 4), np.nan))
-    np.testing.assert_array_equal(unstated, replay_arm(arm, *run))
+        replayed = replay_arm(arm, run._replace(places_m=np.full((len(LOADS), 4), at_m)))
+        np.testing.assert_allclose(replayed, replay_arm(there, run), atol=1e-5)
+    unstated = replay_arm(arm, run._replace(places_m=np.full((len(LOADS), 4), np.nan)))
+    np.testing.assert_array_equal(unstated, replay_arm(arm, run))
 
 
 @pytest.mark.parametrize("name", ["contact_offset", "capstan_friction"])
 def test_loads_at_several_places_are_those_of_each(name: str) -> None:
     """Each cycle ends unloaded where it began, so that without a state each stands alone."""
     places_m = np.repeat([0.03, np.nan, 0.11], 5)[:, None] * np.ones(4)
-    mixed = Replay(ARM, 0.2 * np.arange(15), COMMANDS, LOADS, places_m)
+    mixed_course = Course(0.2 * np.arange(15), COMMANDS, LOADS, places_m)
+    mixed = Replay(ARM, mixed_course)
     alone = [
-        Replay(ARM, 0.2 * np.arange(15), COMMANDS, LOADS, np.full((15, 4), at_m))
+        Replay(ARM, mixed_course._replace(places_m=np.full((15, 4), at_m)))
         for at_m in (0.03, np.nan, 0.11)
     ]
     same = any_entry(known_effects()[name], 0.0)
@@ -114,9 +116,9 @@ def test_the_order_in_an_arm_file_makes_no_difference() -> None:
         {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": -0.4}},
         {"effect": "cable_creep", "parameters": {"share": 0.2}},
     ]
-    run = 0.2 * np.arange(len(COMMANDS)), COMMANDS, LOADS
+    run = Course(0.2 * np.arange(len(COMMANDS)), COMMANDS, LOADS)
     one, other = (
-        replay_arm(variant({"effects": order}, "cdsm_lab"), *run)
+        replay_arm(variant({"effects": order}, "cdsm_lab"), run)
         for order in (listed, listed[::-1])
     )
     np.testing.assert_array_equal(one, other)

@@ -6,6 +6,7 @@ import pytest
 
 from cablesense_contact.errors import ModelFileError
 from cablesense_contact.inference.metadata import find_model
+from cablesense_contact.inference.single_contact import open_estimator
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.evaluation import comparison
 from cablesense_training.evaluation.comparison import (
@@ -15,7 +16,6 @@ from cablesense_training.evaluation.comparison import (
     compare,
     evaluate_setting,
     evaluate_table2,
-    open_single,
 )
 
 METRICS = {
@@ -68,7 +68,7 @@ def test_a_model_for_another_arm_is_refused(monkeypatch):
 def test_the_law_has_the_errors_that_noise_leaves_and_half_of_the_papers_on_its_measured_loads():
     law, network = (
         [abs(each.magnitude_n / each.load.weight_n - 1.0) for each in evaluate_table2(model)]
-        for model in map(open_single, map(find_model, TABLE2_MODELS.values()))
+        for model in map(open_estimator, map(find_model, TABLE2_MODELS.values()))
     )
     assert max(law) < 0.1
     assert sum(law) < sum(network)

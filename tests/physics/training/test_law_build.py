@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from cablesense_sim.arm import Arm, ListedEffect, open_arm
+from cablesense_sim.course import Course
 from cablesense_sim.replay import reading_variance_n2, replay_arm
 from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.law.build import TorchLaw
@@ -37,7 +38,7 @@ def innovation_n(law: TorchLaw, readings_n: np.ndarray) -> np.ndarray:
 def settled_n(arm: Arm) -> np.ndarray:
     """(2, M) without noise, each long after the command."""
     forces_n = np.zeros((1, 4, 3))
-    read = [replay_arm(arm, np.zeros(1), command[None], forces_n) for command in COMMANDS]
+    read = [replay_arm(arm, Course(np.zeros(1), command[None], forces_n)) for command in COMMANDS]
     return np.concatenate(read)
 
 

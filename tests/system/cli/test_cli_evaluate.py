@@ -92,7 +92,7 @@ def test_the_law_is_evaluated_on_built_arms_and_on_that_of_its_file():
 @pytest.mark.slow
 def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path):
     recorded = small_recording()
-    true_n = replay_arm(LAB, *recorded.inputs)
+    true_n = replay_arm(LAB, recorded.course)
     read_n = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
     file = tmp_path / "loads.csv"
     picture = tmp_path / "errors.png"

@@ -49,7 +49,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(adaptation, "export_law", export)
 
     def write(*effects: ListedEffect) -> str:
-        true_n = replay_arm(LAB.model_copy(update={"effects": list(effects)}), *PROTOCOL.inputs)
+        true_n = replay_arm(LAB.model_copy(update={"effects": list(effects)}), PROTOCOL.course)
         write_csv(tmp_path / "new.csv", replace(PROTOCOL, tensions_n=true_n))
         return "new.csv"
 

@@ -20,7 +20,7 @@ SHORT = PROTOCOL.rows(np.flatnonzero(np.arange(len(PROTOCOL)) % 4 == 0))
 
 
 def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
-    ideal = replay_arm(arm, *protocol.inputs)
+    ideal = replay_arm(arm, protocol.course)
     readings = read_tensions_n(ideal, arm.sensors, np.random.default_rng(4))
     return replace(protocol, tensions_n=readings)
 
@@ -57,7 +57,7 @@ def test_a_recording_becomes_a_folder_that_predicts(command, tmp_path):
         PROTOCOL, command_rad=-0.7 * PROTOCOL.command_rad, load_n=0.6 * PROTOCOL.load_n
     )
     real, after, before = (
-        replay_arm(arm, *unseen.inputs)
+        replay_arm(arm, unseen.course)
         for arm in (heavy, load_arm(folder / "amended_arm.yaml"), LAB)
     )
     assert ((after - real) ** 2).mean() < 0.05 * ((before - real) ** 2).mean()

@@ -44,7 +44,7 @@ def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
     write_arm(arm, amended, "made for this test")
     result = run(recording, "--arm", arm, "--out", out)
     assert result.exit_code == 0, result.output
-    wanted = replay_arm(amended, *RECORDING.inputs)
+    wanted = replay_arm(amended, RECORDING.course)
     assert_allclose(read_csv(out, LAB).tensions_n, wanted, atol=1e-3)
 
 

@@ -77,7 +77,7 @@ def test_the_same_command_goes_on_with_what_was_simulated(
     heavy = LAB.model_validate({**LAB.model_dump(), "effects": [payload]})
     protocol = small_recording(peak_n=25.0)
     protocol = protocol.rows(np.arange(0, len(protocol), 4))
-    ideal_n = replay_arm(heavy, *protocol.inputs)
+    ideal_n = replay_arm(heavy, protocol.course)
     read_n = read_tensions_n(ideal_n, LAB.sensors, np.random.default_rng(4))
     write_csv(tmp_path / "new.csv", replace(protocol, tensions_n=read_n))
 

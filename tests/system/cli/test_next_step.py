@@ -61,7 +61,7 @@ def effect_of(name: str) -> ListedEffect:
 
 
 def recorded(arm: Arm) -> Recording:
-    tensions_n = replay_arm(arm, *PROTOCOL.inputs)
+    tensions_n = replay_arm(arm, PROTOCOL.course)
     readings_n = read_tensions_n(tensions_n, LAB.sensors, np.random.default_rng(0))
     return replace(PROTOCOL, tensions_n=readings_n)
 

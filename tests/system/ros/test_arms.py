@@ -10,6 +10,7 @@ import yaml
 from geometry_msgs.msg import WrenchStamped
 
 from cablesense_msgs_py.messages import ForceState, Level
+from cablesense_sim.course import Course
 from cablesense_sim.replay import replay_arm
 from tests.helpers.arm_variants import variant
 from tests.helpers.ros_graph import Graph, force
@@ -34,7 +35,7 @@ def test_an_amended_arm_is_published_as_the_replay_has_it(graph, start, tmp_path
     path.write_text(yaml.safe_dump(arm.model_dump()), encoding="utf-8")
     loads = np.zeros((2, 4, 3))
     loads[1, 2] = [0.0, 12.0, 0.0]
-    expected = replay_arm(arm, np.array([0.0, 1.0]), np.zeros((2, 8)), loads)
+    expected = replay_arm(arm, Course(np.array([0.0, 1.0]), np.zeros((2, 8)), loads))
     start("sim", arm=path, noise=False)
     graph.until(lambda: len(graph.tensions) > 10, "tensions")
     np.testing.assert_allclose(graph.tensions[-1].effort, expected[0], atol=1e-3)

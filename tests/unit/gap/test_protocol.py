@@ -29,7 +29,7 @@ def tensions_of(rows, mechanism, **changes):
     """Of rows with loads at their places, of which a change of `contact_m` moves all."""
     changed = replace(mechanism, **changes)
     moved_m = changed.contact_m - mechanism.contact_m
-    places_m = np.nan_to_num(rows.inputs[3], nan=0.0) + moved_m
+    places_m = np.nan_to_num(rows.course.places_m, nan=0.0) + moved_m
     touched = replace(changed, contact_m=places_m)
     return solve_equilibrium(touched, rows.command_rad, rows.forces_n).tensions_n
 

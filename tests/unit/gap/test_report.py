@@ -10,7 +10,7 @@ import pytest
 
 from cablesense_gap.amended_arm import amended_arm
 from cablesense_gap.arm_system import Diagnosis
-from cablesense_gap.report.page import report_page, write_diagnosis
+from cablesense_gap.report.page import overlay_picture, report_page, write_diagnosis
 from cablesense_gap.report.text import headline
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import (
@@ -98,6 +98,17 @@ def test_it_stands_alone(page):
         kind, _, data = source.partition(";base64,")
         assert kind in ("data:image/png", "data:image/svg+xml")
         assert len(base64.b64decode(data)) > 1000
+
+
+@pytest.mark.parametrize("numbers", [(-7, -3), (5, 1_000_000_000)])
+def test_the_picture_of_the_worst_trial_has_its_number_whatever_that_is(monkeypatch, numbers):
+    monkeypatch.setattr("cablesense_gap.report.page.as_uri", lambda figure, _kind: figure)
+    is_later = np.arange(len(SMALL)) >= len(SMALL) // 2
+    recording = replace(SMALL, trial=np.where(is_later, numbers[1], numbers[0]))
+    before_n = np.where(is_later[:, None], 1.0, 0.1) * np.ones_like(NOISE)
+    figure = overlay_picture(found(PAYLOAD, recording, before_n=before_n))
+    _, of_trial = figure.axes
+    assert f"trial {numbers[1]}, where its gap is largest" in of_trial.get_title()
 
 
 def test_none_keeps_the_arm_and_shows_nothing_amended(text_of):

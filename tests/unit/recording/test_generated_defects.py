@@ -73,7 +73,7 @@ def said_of_arm(path, _):
     findings = check_recording(recording, LAB)
 
     def said_by_model():
-        nominal_n = replay_arm(LAB, *recording.inputs)
+        nominal_n = replay_arm(LAB, recording.course)
         return " ".join(finding.text for finding in check_recording(recording, LAB, nominal_n))
 
     texts = [finding.text for finding in findings]

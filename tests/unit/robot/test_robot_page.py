@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cablesense_gap.report.film import FilmError
@@ -10,7 +11,7 @@ from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
+from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem, write_prediction
 from cablesense_gap.system import problem_of
 from cablesense_gap.verdict import ChannelGap
 from tests.helpers.checkout import CHECKOUT
@@ -68,3 +69,23 @@ def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):
     residual = np.where(system.trial[:, None] == 3, 9.0, 1.0) * np.ones_like(system.readings)
     said = system.unlisted(problem_of(system), residual).experiment
     assert said.startswith("Repeat trial 3, which has the largest residual (9 floors)")
+
+
+@pytest.mark.parametrize("forward", [False, True])
+def test_trials_are_called_as_the_file_calls_them(tmp_path, forward):
+    robot = load_robot(write_model(tmp_path))
+    table = pd.read_csv(recorded(tmp_path / "recording.csv"))
+    numbers = np.array([70, 71, 72, 80, 81, 82])
+    table["trial"] = numbers[table.trial]
+    short = (table.trial == 71) & (table.groupby("trial").cumcount() >= 10)
+    table[~short].to_csv(tmp_path / "numbered.csv", index=False)
+    recording = read_recording(tmp_path / "numbered.csv", robot)
+    system = RobotSystem(robot, prepared(recording, robot, forward=forward), {})
+    residual = np.where(system.trial[:, None] == 2, 9.0, 1.0) * np.ones_like(system.readings)
+    # the second trial is too short to be compared
+    assert system.trial_labels([0, 1, 2, 4]) == (70, 72, 80, 82)
+    again = system.unlisted(problem_of(system), residual).experiment
+    assert again.startswith("Repeat trial 80, which")
+    write_prediction(tmp_path / "predicted.csv", system)
+    predicted = pd.read_csv(tmp_path / "predicted.csv")
+    assert set(predicted.trial) == {70, 72, 80, 81, 82}

@@ -103,6 +103,32 @@ def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, r
     assert "cut into" in whole.notes[0]
 
 
+def test_trials_are_called_by_their_numbers_in_the_file(tmp_path, table, robot):
+    numbers = table.trial.map({0: -4, 1: 1_234_567, 2: 9})
+    recording = read(tmp_path, table.assign(trial=numbers), robot)
+    labels = [recording.trial_label(trial) for trial in recording.trial.tolist()]
+    assert recording.trial.max() + 1 >= 5  # three are too few, so each is cut
+    assert labels == numbers.tolist()
+
+
+def test_trials_of_several_files_are_called_by_number_and_file(tmp_path, table, robot):
+    for name in ("first.csv", "second.csv"):
+        table.assign(trial=table.trial + 3).to_csv(tmp_path / name, index=False)
+    recording = read_recording(tmp_path, robot)
+    labels = dict.fromkeys(recording.trial_label(trial) for trial in recording.trial.tolist())
+    assert list(labels) == [
+        f"{n} of {name}.csv" for name in ("first", "second") for n in (3, 4, 5)
+    ]
+
+
+def test_trials_without_numbers_are_counted_in_each_file(tmp_path, table, robot):
+    for trial, rows in table.drop(columns="trial").groupby(table.trial):
+        rows.to_csv(tmp_path / f"run_{trial}.csv", index=False)
+    recording = read_recording(tmp_path, robot)
+    labels = [f"{k} of run_{n}.csv" for n in range(3) for k in range(3)]
+    assert list(recording.trial_labels) == labels
+
+
 @pytest.mark.slow  # loads the message types
 def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
     path = tmp_path / "run.mcap"

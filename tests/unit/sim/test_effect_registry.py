@@ -19,6 +19,7 @@ from cablesense_gap.report.text import causes_and_advice, headline
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
+from cablesense_sim.course import Course
 from cablesense_sim.effects.registry import EffectError, known_effects
 from cablesense_sim.replay import replay_arm
 from tests.helpers.arm_variants import variant
@@ -122,9 +123,9 @@ def test_an_arm_that_lists_it_is_replayed_with_it_in_its_order() -> None:
         "at": "cable_2_into_cable_3",
         "parameters": {"share": 0.1},
     }
-    run = np.array([0.0]), STRAIGHT[None], push(1, [0.0, 9.0, 0.0])[None]
-    plain = replay_arm(variant({}, "cdsm_lab"), *run)[0]
-    read = replay_arm(variant({"effects": [leak, entry]}, "cdsm_lab"), *run)[0]
+    run = Course(np.array([0.0]), STRAIGHT[None], push(1, [0.0, 9.0, 0.0])[None])
+    plain = replay_arm(variant({}, "cdsm_lab"), run)[0]
+    read = replay_arm(variant({"effects": [leak, entry]}, "cdsm_lab"), run)[0]
     expected = plain * (1.0 + (np.arange(12) == 1))
     expected[2] += 0.1 * expected[1]
     np.testing.assert_allclose(read, expected)
