@@ -25,7 +25,7 @@ from cablesense_online.page.arrows import (
     place_m,
     pulled_contact,
 )
-from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb
+from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb, piece_rgb
 from cablesense_online.page.figures import newtons_text
 from cablesense_online.page.shown import (
     Cylinder,
