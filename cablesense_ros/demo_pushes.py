@@ -19,6 +19,7 @@ from rich.table import Table
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_online.felt_contact import felt_part
 from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, css
 from cablesense_online.page.headline import Words
 from cablesense_online.page.live_machine import LiveMachine
@@ -79,7 +80,7 @@ def make_script(
     """Pushes on one link after another, the last first: in the first pose, then in random ones.
 
     They act within `reach_m` (N, 2) of each link, along its axis, with up to 0.6 of the strongest
-    contact to expect, and `most_along` of their force along the axis.
+    contact to expect, in directions that are felt, and `most_along` of their force along the axis.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -105,9 +106,11 @@ def make_script(
             end_s += MOVE_S
         magnitude_n = shown.strongest_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
         segment = link_count - number % link_count
+        anywhere = Contact(segment, angle_deg=float(rng.uniform(0.0, 360.0)), magnitude_n=1.0)
+        felt = felt_part(anywhere, shown.felt.felt_across[segment - 1])
         contact = Contact(
             segment=segment,
-            angle_deg=float(rng.uniform(0.0, 360.0)),
+            angle_deg=felt.angle_deg,
             magnitude_n=float(f"{magnitude_n:.3g}"),
             contact_m=float(rng.uniform(*reach_m[segment - 1])),
             along_n=float(magnitude_n * rng.uniform(-most_along, most_along)),

@@ -99,7 +99,7 @@ class Page:
         reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
         self.url = f"http://{f'[{reached}]' if ':' in reached else reached}:{self.port}/{token}/"
         self._lock = threading.Lock()
-        self._score = Score(len(shown.words.links))
+        self._score = Score(shown.felt.felt_across)
         self._figures_due_s = 0.0
         self._commander = -1
         self._commander_name = ""

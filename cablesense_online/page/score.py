@@ -9,6 +9,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState
+from cablesense_online.felt_contact import felt_part
 from cablesense_online.page.snapshot import Snapshot
 
 SETTLING_S = 1.0
@@ -57,8 +58,9 @@ class Errors(NamedTuple):
 class Score:
     """Adds up errors while load and pose stay put."""
 
-    def __init__(self, link_count: int, settling_s: float = SETTLING_S) -> None:
-        self._link_count = link_count
+    def __init__(self, felt_across: Array, settling_s: float = SETTLING_S) -> None:
+        """`felt_across` (N, 2, 2) says which part of a force on each link is to be estimated."""
+        self._felt_across = felt_across
         self._settling_s = settling_s
         self._still: Array | None = None
         self._still_since_s = 0.0
@@ -86,7 +88,10 @@ class Score:
         if not snapshot.state.known and not snapshot.estimated:
             self._unanswered += 1
             return
-        true = {contact.segment: contact for contact in snapshot.true}
+        true = {
+            contact.segment: felt_part(contact, self._felt_across[contact.segment - 1])
+            for contact in snapshot.true
+        }
         estimated = {contact.segment: contact for contact in snapshot.estimated}
         matched = true.keys() & estimated.keys()
         angles_deg = [(true[n].angle_deg, estimated[n].angle_deg) for n in matched]
@@ -115,7 +120,7 @@ class Score:
 
     def _watch(self, snapshot: Snapshot) -> None:
         """Notes since when load and pose have stood still."""
-        loads = np.zeros((self._link_count, 4))
+        loads = np.zeros((len(self._felt_across), 4))
         for contact in snapshot.true:
             force = np.array(contact.wrench[:3]) / _STILL_N
             loads[contact.segment - 1] = *force, contact.contact_m / _STILL_M

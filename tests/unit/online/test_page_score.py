@@ -11,6 +11,7 @@ from cablesense_online.page.headline import Words
 from cablesense_online.page.score import GUESS_DEG, Score
 from cablesense_online.page.snapshot import ShownStatus, Snapshot
 
+EVERYWHERE = np.tile(np.eye(2), (4, 1, 1))
 WORDS = Words("arm", "segment", ("1", "2", "3", "4"))
 
 
@@ -28,14 +29,14 @@ def moment(time_s, true, estimated, pose=0.0, state=None):
 
 
 def scored(*moments):
-    score = Score(4, settling_s=0.0)
+    score = Score(EVERYWHERE, settling_s=0.0)
     for one in moments:
         score.add(one)
     return score.errors
 
 
 def test_errors_are_means_over_steady_moments():
-    score = Score(4, settling_s=1.0)
+    score = Score(EVERYWHERE, settling_s=1.0)
     true = [contact(angle=350.0)]
     estimate = [contact(angle=4.0, newtons=41.0, place_m=0.083)]
     for time_s in np.arange(0.0, 3.0, 0.1):
@@ -93,3 +94,11 @@ def test_moments_without_an_answer_are_counted_apart_and_those_in_motion_not_at_
     assert scored(*silent).segment_right is None
     errors = scored(*silent, moment(0.0, [contact()], [contact()]))
     assert (errors.unanswered, errors.pushed) == (0.75, 1)
+
+
+def test_what_is_not_felt_of_a_force_is_not_missed():
+    upwards_alone = np.tile(np.diag([0.0, 1.0]), (4, 1, 1))
+    score = Score(upwards_alone, settling_s=0.0)
+    score.add(moment(0.0, [contact(angle=60.0, newtons=40.0)], [contact(angle=0.0, newtons=20.0)]))
+    assert score.errors.angle_mae_deg == pytest.approx(0.0)
+    assert score.errors.magnitude_mae_n == pytest.approx(0.0)
