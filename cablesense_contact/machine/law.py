@@ -106,6 +106,8 @@ class MachineLaw:
             ]
             stated = self._stated(observed) if keeps.any() else restated
         parts = _stacked(observed)
+        # a force that takes a tendon slack reads as any larger one does
+        stated["magnitude_ci95_n"][parts.is_slack, 1] = self._largest_n
         return LawOutput(
             **stated,
             innovation_n=parts.innovation,
@@ -182,5 +184,5 @@ def _stacked(observed: Sequence[Observation]) -> Observation:
     """The observations of B readings as one, with a leading axis."""
     if len(observed) == 1:
         # of a single reading, as a node has, no number is copied
-        return Observation._make(part[np.newaxis] for part in observed[0])
+        return Observation._make(np.asarray(part)[np.newaxis] for part in observed[0])
     return Observation._make(np.stack(column) for column in zip(*observed, strict=True))

@@ -72,6 +72,8 @@ class Observation(NamedTuple):
             that these have at the command, and their slopes along the links' axes.
         torsion: (N, 1, n) of unit moments about the links' axes.
         pose: (n,).
+        is_slack: whether a tendon that is read may be slack, with too few others to fix the pose:
+            a larger force reads the same.
     """
 
     reading: Array
@@ -83,6 +85,7 @@ class Observation(NamedTuple):
     levers: Array
     torsion: Array
     pose: Array
+    is_slack: np.bool_
 
 
 class _Known(NamedTuple):
@@ -294,6 +297,7 @@ class Observer:
         spread = of_sources @ self._spread(known, covariance).of_sources @ of_sources.T
         spread += np.diag(self._variance) + by_torque @ moving @ by_torque.T
         expected = built.gain * tensions_n[read] + built.zero
+        is_taut = tension > self._spread(known, covariance).taut_above_n
         levers, torsion = _levers(frames, known.frames.axes)
         return Observation(
             reading=reading,
@@ -305,6 +309,7 @@ class Observer:
             levers=levers,
             torsion=torsion,
             pose=pose,
+            is_slack=np.bool_(is_taut.sum() < min(len(is_taut), len(pose))),
         )
 
     def _pose_of(self, known: _Known, tension: Array, covariance: Array) -> Array:
@@ -449,6 +454,7 @@ class Observer:
             levers=levers,
             torsion=torsion,
             pose=pose,
+            is_slack=np.False_,
         )
 
     def _by_channel(self, moment: Array) -> Array:

@@ -187,3 +187,26 @@ def test_joints_alone_may_define_a_tendon(tmp_path: Path) -> None:
     seen = law(reading[None], command[None], exact, known, np.zeros((2, 2)))
     assert Judge(felt)(seen, reading).state is ContactState.CONTACT
     assert seen.force_n[0, 2] == pytest.approx(-0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("lifting_n", [0.35, 0.8, 2.0])
+def test_what_takes_the_only_tendon_slack_may_be_any_larger_force(
+    tmp_path: Path, lifting_n: float
+) -> None:
+    machine = written_machine(tmp_path, rod_model(), ROD_FILE)
+    law = MachineLaw(machine, TorchStater(machine))
+    exact = np.zeros(len(law.observer.parameters))
+    nominal = SimulatedMachine(machine, law.observer.parameters, exact)
+    command = law.observer.command_of(machine.reference)
+    untouched = nominal.untouched(command)
+    tip_m = machine.links.touched_m[0].mean()
+    lifted = LinkForce(0, np.array([tip_m, 0.0, 0.0]), np.array([0.0, 0.0, lifting_n]))
+    reading = nominal.touched(command, (lifted,), untouched).values
+    assert reading[0] == pytest.approx(0.0, abs=1e-6)
+    count = len(machine.coordinates)
+    seen = law(
+        reading[None], command[None], exact, np.outer(exact, exact), np.zeros((count, count))
+    )
+    low_n, high_n = seen.magnitude_ci95_n[0]
+    assert low_n <= lifting_n <= high_n
+    assert high_n == machine.source.file.touch.largest_n
