@@ -184,7 +184,14 @@ class Calibrator:
         # the innovation's χ² is by how much the least sum of squares grows
         misfit = fitted.chi2 - calibration.chi2
         compared = fitted.compared - calibration.compared
-        self._require_unloaded(misfit, compared, force=force)
+        if probability_above(misfit, compared) < IMPROBABLE and not force:
+            raise CalibrationError(
+                f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
+                f"{compared} numbers, where {limit_at(IMPROBABLE, compared):.0f} would do"
+                f"{self._farthest(calibration, unloaded)}; is it touched, somewhere else than "
+                "commanded, or not the arm of the file? Larger tolerances in the arm file, or "
+                "force, accept them"
+            )
         return fitted
 
     def without_last(self, calibration: Calibration) -> Calibration:
@@ -333,11 +340,18 @@ class Calibrator:
             return 0.0
         return self._machine.drift_per_hour * abs(to_ns - from_ns) / 3.6e12
 
-    def _require_unloaded(self, misfit: float, count: int, *, force: bool) -> None:
-        if probability_above(misfit, count) < IMPROBABLE and not force:
-            raise CalibrationError(
-                f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
-                f"{count} numbers, where {limit_at(IMPROBABLE, count):.0f} would do; is it "
-                "touched, somewhere else than commanded, or not the arm of the file? Larger "
-                "tolerances in the arm file, or force, accept them"
-            )
+    def _farthest(self, calibration: Calibration, unloaded: Unloaded) -> str:
+        """Which channel is farthest from what was expected, as the end of a sentence."""
+        channels = self._machine.channels
+        believed = Belief(calibration.mean, calibration.covariance)
+        _, innovations = self._linear([believed], [unloaded])
+        if innovations.shape[1] != len(channels.names):
+            return ""
+        farthest = int(np.abs(innovations[0]).argmax())
+        off = float(innovations[0, farthest])
+        side = "more" if off > 0.0 else "less"
+        reading = f"{unloaded.reading_n[farthest]:.3g} {channels.units[farthest]}"
+        return (
+            f"; {channels.names[farthest]} reads {reading}, about {abs(off):.3g} {side} than "
+            "expected at this command"
+        )

@@ -85,10 +85,14 @@ def require_tare(answers: list[RecordedAnswer], count: int) -> None:
     """
     states = {each.answer.force for each in answers}
     if states <= {ForceState.UNTARED, ForceState.MOVING, ForceState.REFUSED}:
+        refusals = [
+            each.tare_problem for each in answers if each.tare_problem not in ("", NO_TARE)
+        ]
+        because = f" ({refusals[0]})" if refusals else ""
         raise RecordingError(
             f"nothing is known of the untouched arm: no {count} rows in one pose have readings "
-            "of it that are steady; record it untouched first, take fewer rows (--tare-rows), or "
-            "give a --calibration"
+            f"of it that are steady{because}; record it untouched first, take fewer rows "
+            "(--tare-rows), or give a --calibration"
         )
 
 

@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import model_validator
 
-from cablesense_base import some_of
+from cablesense_base import Array, some_of
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import FilePart, Number, read_plain
 from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME
@@ -43,6 +44,7 @@ class NamedColumns(FilePart):
         columns: their names, in the machine's order; of an arm's joints pitch, then yaw.
         unit: of the numbers.
         scale: the numbers are multiplied by it too; -1 turns signs.
+        offset: what is added then, in SI units: of all of them, or one for each.
         topic: of a bag, the messages that hold them: `sensor_msgs/JointState`, or one with `data`.
         field: of such a `JointState`.
         held: in place of columns: the values that hold all the time.
@@ -51,6 +53,7 @@ class NamedColumns(FilePart):
     columns: tuple[str, ...] = ()
     unit: str = ""
     scale: Number = 1.0
+    offset: Number | tuple[Number, ...] = 0.0
     topic: str = ""
     field: Literal["position", "velocity", "effort", "data", ""] = ""
     held: tuple[Number, ...] = ()
@@ -60,6 +63,10 @@ class NamedColumns(FilePart):
         if self.held and (self.columns or self.topic):
             raise ValueError("= held: the values that hold all the time leave no columns or topic")
         return self
+
+    def in_si(self, recorded: Array, per_unit: float) -> Array:
+        """Recorded numbers (..., K) in SI units, of which one unit is so much."""
+        return np.asarray(recorded * (per_unit * self.scale) + np.array(self.offset))
 
 
 class Loads(FilePart):
@@ -112,15 +119,13 @@ class ColumnMap(FilePart):
         """The same without loads and trials."""
         return self.model_copy(update={"trial": "", "loads": None})
 
-    @property
-    def per_reading(self) -> float:
-        """What one unit of a reading is, N, or N·m of a torque."""
-        return READING_UNITS[self.tensions.unit or "N"] * self.tensions.scale
+    def readings(self, recorded: Array) -> Array:
+        """Recorded numbers (..., M) of the channels, in N, or N·m of torques."""
+        return self.tensions.in_si(recorded, READING_UNITS[self.tensions.unit or "N"])
 
-    @property
-    def per_command(self) -> float:
-        """What one unit of a command is, rad, or m of a length."""
-        return COMMAND_UNITS[self.commands.unit or "rad"] * self.commands.scale
+    def commanded(self, recorded: Array) -> Array:
+        """Recorded numbers (..., C) of commands, in rad, or m of lengths."""
+        return self.commands.in_si(recorded, COMMAND_UNITS[self.commands.unit or "rad"])
 
     @property
     def seconds(self) -> float:
@@ -150,6 +155,12 @@ def read_column_map(path: str | Path, machine: Described) -> ColumnMap:
     _require_count(path, "tensions.columns", tensions.columns, layout.channel_names, owner)
     _require_count(path, "commands.columns", commands.columns, layout.command_names, owner)
     _require_count(path, "commands.held", commands.held, layout.command_names, owner)
+    for key, channels, names in (
+        ("tensions.offset", tensions, layout.channel_names),
+        ("commands.offset", commands, layout.command_names),
+    ):
+        if isinstance(channels.offset, tuple):
+            _require_count(path, key, channels.offset, names, owner)
     if described.tensions.held:
         raise RecordingError(f"{path}: tensions.held: readings are never constant; name columns")
     return described

@@ -76,12 +76,12 @@ def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
         if loads.at in values:
             place_m = given_places(values[loads.at] * LENGTH_UNITS[loads.at_unit])
     trial = whole_numbers(path, columns.trial, values[columns.trial]) if columns.trial else None
-    held_rad = np.tile(columns.commands.held, (count, 1)) * columns.per_command
+    held = np.tile(columns.commands.held, (count, 1))
     return _recording(
         csv_stem(path),
         time * columns.seconds,
-        stacked(values, commands) * columns.per_command if commands else held_rad,
-        stacked(values, tensions) * columns.per_reading,
+        columns.commanded(stacked(values, commands) if commands else held),
+        columns.readings(stacked(values, tensions)),
         segment,
         load_n,
         place_m,
@@ -135,8 +135,8 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     recording = _recording(
         plain_name(path.stem),
         (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9,
-        np.array(commands) * columns.per_command,
-        np.array(tensions) * columns.per_reading,
+        columns.commanded(np.array(commands)),
+        columns.readings(np.array(tensions)),
         np.zeros(count, dtype=np.int64),
         np.zeros((count, 3)),
         None,

@@ -65,6 +65,9 @@ def machine_description(path: str) -> Description:
             )
         ],
         "commands": list(machine.command_names),
+        "reference_command": dict(
+            zip(machine.command_names, np.round(command, 6).tolist(), strict=True)
+        ),
         "coordinates": list(machine.coordinates.names),
         "links": [
             {

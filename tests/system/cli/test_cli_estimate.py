@@ -248,7 +248,7 @@ def test_the_map_of_the_docs_is_one(tmp_path: Path) -> None:
     meant = tmp_path / "map.yaml"
     meant.write_text(example, encoding="utf-8")
     described = read_column_map(meant, ARM)
-    assert described.per_reading == -KGF_N
+    assert described.readings(np.ones(12)) == pytest.approx(-KGF_N * np.ones(12))
     assert described.loads is not None
 
 

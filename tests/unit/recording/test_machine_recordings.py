@@ -137,7 +137,8 @@ def test_a_map_may_give_lengths_and_torques(
 ):
     machine = example_machine(name)
     meant = tmp_path / "map.yaml"
-    meant.write_text(f"tensions: {{unit: {tensions}}}\ncommands: {{unit: {commands}}}\n", "utf-8")
+    text = f"tensions: {{unit: {tensions}}}\ncommands: {{unit: {commands}, offset: 0.25}}\n"
+    meant.write_text(text, "utf-8")
     columns = table(machine)
     recording = read_recording(
         written(tmp_path / "a.csv", columns), machine, columns=read_column_map(meant, machine)
@@ -146,4 +147,14 @@ def test_a_map_may_give_lengths_and_torques(
     readings = np.transpose([columns[name] for name in layout.reading_columns])
     np.testing.assert_allclose(recording.tensions_n, per_reading * readings)
     command = np.transpose([columns[name] for name in layout.command_columns])
-    np.testing.assert_allclose(recording.command_rad, per_command * command)
+    np.testing.assert_allclose(recording.command_rad, 0.25 + per_command * command)
+
+
+def test_an_offset_is_of_all_numbers_or_one_for_each(tmp_path):
+    meant = tmp_path / "map.yaml"
+    meant.write_text("commands: {scale: -1, offset: [0.1, 0.2, 0.3]}\n", "utf-8")
+    columns = read_column_map(meant, FINGER)
+    np.testing.assert_allclose(columns.commanded(np.full((2, 3), 0.1)), [[0.0, 0.1, 0.2]] * 2)
+    meant.write_text("commands: {offset: [0.1, 0.2]}\n", "utf-8")
+    with pytest.raises(RecordingError, match=r"commands.offset has 2 entries; .* needs 3"):
+        read_column_map(meant, FINGER)
