@@ -34,7 +34,7 @@ from cablesense_sim.machine.built_machine import BuiltMachine
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.parameters import MachineParameters
-from cablesense_sim.machine.statics import LinkForce, LinkFrames, MachineStatics
+from cablesense_sim.machine.statics import Balance, LinkForce, LinkFrames, MachineStatics
 
 _Value = TypeVar("_Value")
 _TAUT_ABOVE_STD = 4.0
@@ -48,6 +48,9 @@ _NEW_DERIVATIVE_STEP = 1e-2
 """Steps longer than this, rad or m, lead to a pose whose derivative is taken anew."""
 _LEAST_TORQUE_SHARE = 1e-3
 """Deviation of a coordinate's contact force that no touched link makes, over the largest."""
+_REACH_STD = 3.0
+"""Deviations of its zero within which a coordinate is taken to be, for what is not linear: the
+other tolerances move it, too."""
 _CROSS = np.zeros((9, 3))
 """(9, 3) of the matrices that take w to w x e, by e."""
 _CROSS[[1, 5, 6], [2, 0, 1]] = 1.0
@@ -99,6 +102,8 @@ class _Known(NamedTuple):
         sources: of the parameters, there.
         rows: (S, P) derivatives of these sources, and of the M gains and M zeros of channels.
         frames: of the links at the command.
+        curvature: (n, n) what the linear law misses of the forces, if each coordinate in turn is
+            off as far as its zero may be.
     """
 
     built: BuiltMachine
@@ -108,6 +113,7 @@ class _Known(NamedTuple):
     sources: ParameterSources
     rows: Array
     frames: LinkFrames
+    curvature: Array
 
 
 class _Spread(NamedTuple):
@@ -189,12 +195,21 @@ class Observer:
 
     def noise(self, command: Array, variance: Array) -> Array:
         """(D, D) covariance of observations of readings with variances (M,) at a command."""
-        if not self.machine.is_measured:
-            return np.diag(variance)
         known = self._known(command, self.parameters.prior_mean)
         balance = known.built.statics.at(known.pose)
+        if not self.machine.is_measured:
+            curved = self._torques_in_channels(known, balance) @ known.curvature.T
+            return np.diag(variance) + curved @ curved.T
         by_channel = self._by_channel(balance.pull)[self._equations]
         return np.asarray((by_channel * variance) @ by_channel.T)
+
+    def _torques_in_channels(self, known: _Known, balance: Balance) -> Array:
+        """(M, n) derivative of the readings of the untouched machine by contact forces."""
+        statics = known.built.statics
+        tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
+        slope = known.load_slope + statics.elastic_slope(balance.moment, tensions_n)
+        by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
+        return np.asarray(known.built.gain[:, None] * by_torque[self.machine.channels.tendon])
 
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.
@@ -241,9 +256,33 @@ class Observer:
         rows = np.concatenate([sources.rows, self._channel_rows()])
         frame_pose = command if machine.source.file.joints == "commanded" else pose
         statics.at(frame_pose)
-        known = _Known(built, unstretched_m, pose, load_slope, sources, rows, statics.links())
+        frames = statics.links()
+        curvature = np.zeros((len(pose), len(pose)))
+        if not machine.is_measured:
+            curvature = self._curvature(statics, pose, tensions)
+        known = _Known(built, unstretched_m, pose, load_slope, sources, rows, frames, curvature)
         _keep(self._kept_without_friction, key, known)
         return known
+
+    def _curvature(self, statics: MachineStatics, pose: Array, tensions_n: Array) -> Array:
+        """(n, n) b_i = (F(r + s_i) + F(r - s_i)) / 2 - F(r) at constant tensions, rows by i.
+
+        Where a tendon comes to a pulley or leaves it, forces have a kink: with the true pose on
+        its other side, they are off by as much. A smooth machine has next to none.
+        """
+        parameters = self.parameters
+        is_hinge = self.machine.coordinates.is_hinge
+        reach = np.empty(len(pose))
+        reach[is_hinge] = parameters.prior_std[parameters.slices["joint_zero"]]
+        reach[~is_hinge] = parameters.prior_std[parameters.slices["slide_zero"]]
+
+        def forces(at: Array) -> Array:
+            balance = statics.at(at)
+            return np.asarray(balance.load - tensions_n @ balance.pull)
+
+        here = forces(pose)
+        steps = _REACH_STD * np.diag(reach)
+        return np.array([0.5 * (forces(pose + s) + forces(pose - s)) - here for s in steps])
 
     def _rubbing(self, command: Array, mean: Array, pose: Array | None) -> _Known:
         """With friction as tendons bend at a pose (n,), or at that of the untouched machine."""
@@ -296,6 +335,8 @@ class Observer:
         by_torque = built.gain[:, None] * by_torque[read]
         spread = of_sources @ self._spread(known, covariance).of_sources @ of_sources.T
         spread += np.diag(self._variance) + by_torque @ moving @ by_torque.T
+        curved = by_torque @ known.curvature.T
+        spread += curved @ curved.T
         expected = built.gain * tensions_n[read] + built.zero
         is_taut = tension > self._spread(known, covariance).taut_above_n
         levers, torsion = _levers(frames, known.frames.axes)
