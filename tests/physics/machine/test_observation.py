@@ -213,3 +213,23 @@ def test_a_slack_tendon_leaves_the_torque_to_the_other(tmp_path: Path) -> None:
     _, after, angle = touched_lever(machine, force_n=20.0, place_m=0.4)
     torque = 20.0 * 0.4 * np.cos(angle)
     np.testing.assert_allclose(after, [torque / PULLEY_M, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("deviations", [-2.0, 2.0])
+@pytest.mark.parametrize("curl_rad", [0.165, 0.17, 0.175])
+def test_the_other_side_of_a_kink_is_allowed_for(curl_rad: float, deviations: float) -> None:
+    """At 0.167 rad the flexor of the hand's thumb leaves its pulley, and forces have a kink."""
+    machine = example_machine("hand")
+    observer = Observer(machine)
+    parameters = observer.parameters
+    command = np.zeros(len(machine.coordinates))
+    command[machine.coordinates.names.index("thumb_curl")] = curl_rad
+    zero = parameters.names.index("joint_zero of thumb_curl")
+    off = np.zeros(len(parameters))
+    off[zero] = deviations * parameters.prior_std[zero]
+    reading = SimulatedMachine(machine, parameters, off).untouched(command).values
+    covariance = np.diag(parameters.prior_std**2)
+    still = np.zeros((len(command), len(command)))
+    seen = observer.observe(reading, command, np.zeros(len(parameters)), covariance, still)
+    chi2 = float(seen.innovation @ seen.information @ seen.innovation)
+    assert chi2 < 5.0
