@@ -156,6 +156,11 @@ class FeltMachine(Protocol):
         ...
 
     @property
+    def per_radian(self) -> float:
+        """By how much commands change at most where one joint turns by a radian."""
+        ...
+
+    @property
     def first_command(self) -> Array:
         """(C,) where it is taken to be before any command."""
         ...

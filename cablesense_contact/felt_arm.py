@@ -45,6 +45,7 @@ class FeltArm:
     known_n = _KNOWN_N
     reads_joints = False
     largest_command = MAX_JOINT_ANGLE_RAD
+    per_radian = 1.0
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm

@@ -117,7 +117,7 @@ class ContactEstimator:
     ) -> None:
         self.settings = settings
         self.contacts = contacts
-        self.gate = MotionGate(settings)
+        self.gate = MotionGate(settings, machine.per_radian)
         self._machine = machine
         self._reader = EffortReader()
         self._cable_order = NamedOrder(
@@ -279,7 +279,7 @@ class ContactEstimator:
         breath = state.breath
         if not self.gate.follows(motion, command_rad):
             off_rad = float(np.abs(command_rad - motion.command_rad).max())
-            if not state.is_commanded and off_rad > _ASSUMED_POSE_RAD:
+            if not state.is_commanded and off_rad > _ASSUMED_POSE_RAD * self._machine.per_radian:
                 unloaded = self._without_own_tare(unloaded)
             unloaded = unloaded.without_readings
             breath = breath.moved

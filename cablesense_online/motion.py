@@ -120,8 +120,15 @@ class MotionGate:
     them than such a motion gets in the time of the shortest move.
     """
 
-    def __init__(self, settings: EstimationSettings) -> None:
+    def __init__(self, settings: EstimationSettings, per_radian: float = 1.0) -> None:
+        """`per_radian` is by how much commands change at most where a joint turns by one radian.
+
+        How fast actuators reach a length is not known: they are taken to be there at once.
+        """
         self._settings = settings
+        self._still = settings.still_rad * per_radian
+        self._follow_s = settings.follow_rad_s * per_radian
+        self._pose_step = _POSE_STEP_RAD * per_radian
         self._settle_ns = settings.settle_s * 1e9
 
     def at_rest(self, command_rad: Array) -> CommandedMotion:
@@ -152,17 +159,16 @@ class MotionGate:
 
     def follows(self, motion: CommandedMotion, command_rad: Array) -> bool:
         """Whether a command (2N,) would be followed with the gate as it is."""
-        settings = self._settings
         off_rad = float(np.abs(command_rad - motion.pose_rad).max())
-        if off_rad <= settings.still_rad and not motion.shut:
+        if off_rad <= self._still and not motion.shut:
             return True
-        if not settings.follow_rad_s:
+        if not self._follow_s:
             return False
         angle, speed, _ = motion.course.state
         ahead_rad = float(np.abs(command_rad - angle).max())
         return (
-            ahead_rad <= settings.follow_rad_s * SHORTEST_MOVE_S
-            and float(np.abs(speed).max()) <= settings.follow_rad_s
+            ahead_rad <= self._follow_s * SHORTEST_MOVE_S
+            and float(np.abs(speed).max()) <= self._follow_s
         )
 
     def at_sample(
@@ -217,7 +223,7 @@ class MotionGate:
         turn_rad = float(np.abs(motion.command_rad - motion.course.angle_rad).max())
         course = motion.course.towards(motion.command_rad)
         turned_ns = motion.turned_ns
-        if turn_rad > self._settings.still_rad:
+        if turn_rad > self._still:
             turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
         return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
 
@@ -246,11 +252,10 @@ class MotionGate:
 
     def _at_pose(self, motion: CommandedMotion) -> CommandedMotion:
         """At the pose of the estimates that follows from the set-points."""
-        settings = self._settings
         angles_rad = motion.course.angle_rad if motion.course.moving else motion.command_rad
         off_rad = float(np.abs(angles_rad - motion.pose_rad).max())
-        follows = settings.follow_rad_s or off_rad > settings.still_rad
-        far = off_rad > _POSE_STEP_RAD or (off_rad and not motion.course.moving)
+        follows = self._follow_s or off_rad > self._still
+        far = off_rad > self._pose_step or (off_rad and not motion.course.moving)
         return replace(motion, pose_rad=angles_rad) if follows and far else motion
 
     def _swinging_on(self, motion: CommandedMotion) -> CommandedMotion:

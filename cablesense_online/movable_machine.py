@@ -51,7 +51,7 @@ class MovableMachine:
         if self._by_actuators:
             by_pose = tendons.gear[self._drawn, None] * self._moment[self._drawn]
         self._by_pose: Array = by_pose
-        self.per_radian = float(np.abs(by_pose).max())
+        self.per_radian = felt.per_radian
 
     def candidates(self, count: int, reach_rad: float, rng: np.random.Generator) -> Array:
         """(K, C) the first command first; joints and controls stay within their ranges."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import read_bounded_text
@@ -44,7 +44,7 @@ class NamedColumns(FilePart):
         columns: their names, in the machine's order; of an arm's joints pitch, then yaw.
         unit: of the numbers.
         scale: the numbers are multiplied by it too; -1 turns signs.
-        offset: what is added then, in SI units: of all of them, or one for each.
+        offset: what is added then, in `unit`: to all of them, or one for each.
         topic: of a bag, the messages that hold them: `sensor_msgs/JointState`, or one with `data`.
         field: of such a `JointState`.
         held: in place of columns: the values that hold all the time.
@@ -66,14 +66,16 @@ class NamedColumns(FilePart):
 
     def in_si(self, recorded: Array, per_unit: float) -> Array:
         """Recorded numbers (..., K) in SI units, of which one unit is so much."""
-        return np.asarray(recorded * (per_unit * self.scale) + np.array(self.offset))
+        return np.asarray(per_unit * (self.scale * recorded + np.array(self.offset)))
 
 
 class Loads(FilePart):
     """Known loads, which a diagnosis needs.
 
     Attributes:
-        segment: the column of the segment, 0 without a load.
+        segment: the column of the segment, 0 without a load. Where only one link may be touched a
+            file may lack it: that link is loaded.
+        least: a smaller force, N, is none there: a force sensor is never quite at zero.
         force: the columns of the load's components, base frame.
         unit: of these.
         at: the column of the place on the segment; empty where all act at its contact point.
@@ -81,6 +83,7 @@ class Loads(FilePart):
     """
 
     segment: str = LOAD_SEGMENT
+    least: Annotated[Number, Field(ge=0.0)] = 0.0
     force: tuple[str, str, str] = LOAD
     unit: str = "N"
     at: str = ""

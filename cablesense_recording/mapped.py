@@ -56,9 +56,12 @@ def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     wanted = [columns.time.column, *tensions, *commands]
     wanted += [columns.trial] if columns.trial else []
     loads = columns.loads
+    optional: list[str] = []
     if loads is not None:
-        wanted += [loads.segment, *loads.force]
-    optional = [loads.at] if loads is not None and loads.at else []
+        is_given = len(layout.link_names) > 1
+        (wanted if is_given else optional).append(loads.segment)
+        wanted += loads.force
+        optional += [loads.at] if loads.at else []
     values = read_table(path, [*wanted, *optional])
     missing = [name for name in wanted if name not in values]
     if missing:
@@ -71,8 +74,13 @@ def _read_csv(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     segment = np.zeros(count, dtype=np.int64)
     load_n = np.zeros((count, 3))
     if loads is not None:
-        segment = whole_numbers(path, loads.segment, values[loads.segment])
         load_n = stacked(values, loads.force) * FORCE_UNITS[loads.unit]
+        if loads.segment in values:
+            segment = whole_numbers(path, loads.segment, values[loads.segment])
+        else:
+            is_loaded = np.linalg.norm(load_n, axis=1) > loads.least
+            segment = is_loaded.astype(np.int64)
+            load_n *= is_loaded[:, None]
         if loads.at in values:
             place_m = given_places(values[loads.at] * LENGTH_UNITS[loads.at_unit])
     trial = whole_numbers(path, columns.trial, values[columns.trial]) if columns.trial else None

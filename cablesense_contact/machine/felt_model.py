@@ -32,6 +32,10 @@ _SLACK_BELOW_STD = 4.0
 """An unloaded reading below this many deviations of a sensor's zero may be of a slack tendon."""
 
 
+_ALONG_Z = 0.1
+"""Part of z that is felt, below which y is taken."""
+
+
 class FeltModel:
     """A machine that MuJoCo describes as estimates see it: a `felt.FeltMachine`.
 
@@ -56,6 +60,7 @@ class FeltModel:
         self.command_names = machine.command_names
         self.reads_joints = machine.is_measured
         self.largest_command = _LARGEST_COMMAND
+        self.per_radian = _per_radian(machine, self._statics)
         self.torque_names = machine.coordinates.names
         self.first_command = self._observer.command_of(machine.reference)
         self.link_names = links.names
@@ -127,12 +132,12 @@ class FeltModel:
         parameters = self.parameters
         nominal = SimulatedMachine(machine, parameters, 0.0 * parameters.prior_mean)
         untouched = nominal.untouched(command)
-        direction = np.array([0.0, 0.0, 1.0])
+        directions = np.array([_felt_direction(projection) for projection in self.felt_across])
         force_n = _REFERENCE_SHARE * machine.source.file.touch.largest_n
         count = len(machine.links.names)
         readings = []
         for n in range(count):
-            contact = LinkForce(n, np.array([self.middle_m[n], 0.0, 0.0]), force_n * direction)
+            contact = LinkForce(n, np.array([self.middle_m[n], 0.0, 0.0]), force_n * directions[n])
             readings.append(nominal.touched(command, [contact], untouched).values)
         loads = ReferenceLoads(
             force_n=force_n,
@@ -140,7 +145,25 @@ class FeltModel:
             command=np.tile(command, (count, 1)),
             link=np.arange(count),
             place_m=self.middle_m,
-            direction=np.tile(direction, (count, 1)),
+            direction=directions,
             reach_m=machine.links.touched_m,
         )
         return ReferenceContacts(loads, len(self.torque_names))
+
+
+def _per_radian(machine: Machine, statics: MachineStatics) -> float:
+    """By how much commands change where a joint turns: lengths, if actuators are commanded."""
+    if machine.source.file.joints != "actuators":
+        return 1.0
+    tendons = machine.tendons
+    drawn = tendons.drawn_by >= 0
+    moment = statics.at(machine.reference).moment
+    return float(np.abs(tendons.gear[drawn, None] * moment[drawn]).max())
+
+
+def _felt_direction(projection: Array) -> Array:
+    """(3,) a unit vector across a link that is felt, along z where that is."""
+    across = projection[:, 1]
+    if np.linalg.norm(across) < _ALONG_Z:
+        across = projection[:, 0]
+    return np.append(0.0, across / np.linalg.norm(across))

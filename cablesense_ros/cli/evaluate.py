@@ -13,6 +13,7 @@ from rich.console import Console
 from cablesense_base.files import output_file, write_atomically
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_ros.cli.options import (
+    ColumnsOption,
     ForceOption,
     JsonOption,
     OptionError,
@@ -79,6 +80,7 @@ def evaluate(
             "it; without it, the recording's unloaded rows say so."
         ),
     ] = None,
+    columns: ColumnsOption = None,
     topic: TopicsOption = None,
     picture: Annotated[
         Path | None,
@@ -109,7 +111,7 @@ def evaluate(
     """
     models = model or []
     if recording is None:
-        of_recordings = ("picture", "force", "calibration", "topic", "arm")
+        of_recordings = ("picture", "force", "calibration", "columns", "topic", "arm")
         refuse_given(context, of_recordings, "without --recording")
         if len(models) > 1:
             raise OptionError("several --model go with --recording alone; give one")
@@ -127,7 +129,9 @@ def evaluate(
         else:
             output_file(picture, force=force, inputs=(recording, *models))
         judged = [_judged(name, arm) for name in models or [""]]
-        title, content, notes = _recorded(recording, judged, calibration, picture, topic or ())
+        title, content, notes = _recorded(
+            recording, judged, calibration, picture, topic or (), columns
+        )
         print_notes(notes, json_output)
         lines = recorded_lines(content, judged[0].machine.link_names)
     elif table2:
@@ -213,6 +217,7 @@ def _recorded(
     calibration: Path | None,
     picture: Path | None,
     topics: Sequence[str],
+    columns: Path | None,
 ) -> tuple[str, dict[str, Any], tuple[str, ...]]:
     """Title and figures, and what was read of the recording, as sentences."""
     from cablesense_contact.calibration_file import read_calibration
@@ -221,12 +226,14 @@ def _recorded(
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
     from cablesense_recording.checks import read_recording
+    from cablesense_recording.column_map import read_column_map
 
     errors = {}
     notes: tuple[str, ...] = ()
     for one in judged:
         known = None if calibration is None else read_calibration(calibration, one.machine)
-        recorded = read_recording(recording, one.described, topics)
+        named = None if columns is None else read_column_map(columns, one.described).with_loads
+        recorded = read_recording(recording, one.described, topics, named)
         notes = recorded.notes
         if one.machine.reads_joints:
             recorded = with_held_positions(recorded)

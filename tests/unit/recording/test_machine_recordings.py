@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from cablesense_contact.unloaded_holds import unloaded_holds, with_held_positions
 from cablesense_msgs_py import topics
@@ -10,6 +11,7 @@ from cablesense_recording.checks import read_recording
 from cablesense_recording.column_map import read_column_map
 from cablesense_recording.layout import layout_of
 from cablesense_recording.recording import RecordingError
+from cablesense_sim.machine.machine import open_machine
 from tests.helpers.bags import Bag
 from tests.helpers.example_machines import example_machine
 
@@ -147,7 +149,7 @@ def test_a_map_may_give_lengths_and_torques(
     readings = np.transpose([columns[name] for name in layout.reading_columns])
     np.testing.assert_allclose(recording.tensions_n, per_reading * readings)
     command = np.transpose([columns[name] for name in layout.command_columns])
-    np.testing.assert_allclose(recording.command_rad, 0.25 + per_command * command)
+    np.testing.assert_allclose(recording.command_rad, per_command * (0.25 + command))
 
 
 def test_an_offset_is_of_all_numbers_or_one_for_each(tmp_path):
@@ -158,3 +160,27 @@ def test_an_offset_is_of_all_numbers_or_one_for_each(tmp_path):
     meant.write_text("commands: {offset: [0.1, 0.2]}\n", "utf-8")
     with pytest.raises(RecordingError, match=r"commands.offset has 2 entries; .* needs 3"):
         read_column_map(meant, FINGER)
+
+
+def test_a_force_sensor_at_the_only_link_says_when_it_is_loaded(tmp_path):
+    text = FINGER.source.path.read_text("utf-8")
+    one_link = tmp_path / "finger.yaml"
+    model = FINGER.source.model_path
+    described = yaml.safe_load(text) | {"model": str(model)}
+    described["touch"]["links"] = described["touch"]["links"][-1:]
+    one_link.write_text(yaml.safe_dump(described), "utf-8")
+    machine = open_machine(one_link)
+    columns = table(machine) | {"fx": 0.01, "fy": 0.0, "fz": np.repeat([0.02, 1.5], 15)}
+    meant = tmp_path / "map.yaml"
+    meant.write_text("loads: {force: [fx, fy, fz], unit: N, least: 0.03}\n", "utf-8")
+    recording = read_recording(
+        written(tmp_path / "a.csv", columns), machine, columns=read_column_map(meant, machine)
+    )
+    assert recording.load_segment.tolist() == [0] * 15 + [1] * 15
+    np.testing.assert_allclose(recording.load_n[:15], 0.0)
+    np.testing.assert_allclose(recording.load_n[15:], [[0.01, 0.0, 1.5]] * 15)
+    columns = table(FINGER) | {"fx": 0.01, "fy": 0.0, "fz": 1.5}
+    with pytest.raises(RecordingError, match="load_segment"):
+        read_recording(
+            written(tmp_path / "b.csv", columns), FINGER, columns=read_column_map(meant, FINGER)
+        )
