@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -108,7 +109,9 @@ def test_the_picture_of_the_worst_trial_has_its_number_whatever_that_is(monkeypa
     before_n = np.where(is_later[:, None], 1.0, 0.1) * np.ones_like(NOISE)
     figure = overlay_picture(found(PAYLOAD, recording, before_n=before_n))
     _, of_trial = figure.axes
-    assert f"trial {numbers[1]}, where its gap is largest" in of_trial.get_title()
+    title = of_trial.get_title()
+    plt.close(figure)
+    assert f"trial {numbers[1]}, where its gap is largest" in title
 
 
 def test_none_keeps_the_arm_and_shows_nothing_amended(text_of):

@@ -78,10 +78,11 @@ def test_whatever_a_study_raises_is_part_of_its_outcome(error, text):
 
 def test_a_result_is_made_of_text_numbers_and_figures(monkeypatch):
     monkeypatch.setattr(studies, "read_study_text", lambda name: TEXT)
+    open_before = plt.get_fignums()
     with style():
         figures = {"dot": plt.figure(figsize=(3.0, 2.0))}
         result = study_result("any", NUMBERS, figures)
-    assert plt.get_fignums() == []
+    assert plt.get_fignums() == open_before
     assert result.lead == "It pulls 50.0 N."
     (picture,) = result.pictures
     assert (picture.name, picture.caption) == ("dot", "At 50 N.")
