@@ -32,6 +32,9 @@ _NEAR_TURN = 0.1
 """Share of a turn by which a jump may differ from one: joints move from row to row, a little."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
+_OF_ANY_SIZE = ("link_mass",)
+"""Effects that are as probable large as small: a heavier link and a payload in its middle, which
+may have any mass, are one change with two names."""
 _FURTHER_NUMBER_COST = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
 _FAR_BEYOND = 10.0
@@ -182,7 +185,8 @@ def _log_prior_penalty(problem: Problem, hypothesis: Hypothesis) -> float:
         parameter = problem.parameters[term]
         if parameter.role == "size":
             sure = max(abs(value) - hypothesis.deviations[term], 0.0)
-            far[term[:2]].append(sure / (parameter.spread * parameter.typical))
+            expected = np.inf if term.effect in _OF_ANY_SIZE else parameter.spread
+            far[term[:2]].append(sure / (expected * parameter.typical))
     first = {location[0]: location for location in reversed(far)}
     numbers = sum(
         len(distances) for location, distances in far.items() if location != first[location[0]]

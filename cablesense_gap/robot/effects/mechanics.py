@@ -94,17 +94,13 @@ class ServoGain(RobotEffect):
 
 
 class LinkMass(RobotEffect):
-    """Mass and inertia of a link that are off by the same share.
-
-    A heavier link and a payload in its middle are one change with two names, so it costs as little
-    as that one to be large.
-    """
+    """Mass and inertia of a link that are off by the same share."""
 
     name = "link_mass"
     at = "bodies"
     about = "a wrong link mass"
     advice = "Weigh the link, or compare its mass with the drawing's."
-    numbers = (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9, spread=30.0),)
+    numbers = (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9, spread=5.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.mass_kg[at] *= 1.0 + values["share"]
