@@ -344,11 +344,11 @@ class Calibrator:
         """Which channel is farthest from what was expected, as the end of a sentence."""
         channels = self._machine.channels
         believed = Belief(calibration.mean, calibration.covariance)
-        _, innovations = self._linear([believed], [unloaded])
-        if innovations.shape[1] != len(channels.names):
+        innovation = self._linear([believed], [unloaded])[1][0]
+        if len(innovation) != len(channels.names):
             return ""
-        farthest = int(np.abs(innovations[0]).argmax())
-        off = float(innovations[0, farthest])
+        farthest = int(np.abs(innovation).argmax())
+        off = float(innovation[farthest])
         side = "more" if off > 0.0 else "less"
         reading = f"{unloaded.reading_n[farthest]:.3g} {channels.units[farthest]}"
         return (

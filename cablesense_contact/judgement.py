@@ -240,15 +240,12 @@ class Judge:
         pair_count = len(self._names) * (len(self._names) - 1) // 2
         if pair_count:
             exchanged = seen.exchanged_evidence[0]
-            first, second = sorted(divmod(int(exchanged.argmax()), len(self._names)))
+            likeliest_pair = np.unravel_index(int(exchanged.argmax()), exchanged.shape)
+            pair = sorted(int(number) for number in likeliest_pair)
             log_prior = LOG_PRIOR_EXCHANGED - math.log(pair_count)
-            weight = float(exchanged[first, second]) + log_prior
-            yield _Rival(
-                weight,
-                weight,
-                f"{self._names[first]} and {self._names[second]} are exchanged",
-                fault=True,
-            )
+            weight = float(exchanged[pair[0], pair[1]]) + log_prior
+            names = " and ".join(self._names[number] for number in pair)
+            yield _Rival(weight, weight, f"{names} are exchanged", fault=True)
         if not self._is_one_place.all():
             wrench = np.where(self._is_one_place, -np.inf, seen.segment_evidence[0])
             segment = int(wrench.argmax())

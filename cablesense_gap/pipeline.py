@@ -320,10 +320,10 @@ def _without_effects(hypotheses: Sequence[Hypothesis]) -> Hypothesis:
 
 def _account(system: System, weighing: _Weighing, naming: _Naming) -> _Account:
     """What a person reads about the named explanation, and what to record next."""
-    group, reasons = ambiguity(naming.problem, naming.ranked_there, system.unit)
+    undecided = ambiguity(naming.problem, naming.ranked_there, system.unit)
     account = _Account(
-        group=group,
-        reasons=reasons,
+        group=undecided.group,
+        reasons=undecided.reasons,
         experiment="",
         traded=trades(naming.changes),
         remainder=remainder(weighing.problem, naming.whole),

@@ -311,7 +311,9 @@ def _errors(
     """Errors of answers on all rows of a recording, at poses (R, T), in what is felt of a load."""
     link = np.maximum(taken.load_segment, 1) - 1
     across_n = _in_link_axes(taken, machine, poses)[:, 1:]
-    y, z = np.einsum("rij,rj->ir", machine.felt_across[link], across_n)
+    felt_n = np.einsum("rij,rj->ri", machine.felt_across[link], across_n)
+    y = felt_n[:, 0]
+    z = felt_n[:, 1]
     truth = ContactTruth(taken.load_segment, np.rad2deg(np.arctan2(y, z)) % 360.0, np.hypot(y, z))
 
     def errors(chosen: Rows) -> SingleContactMetrics:

@@ -270,7 +270,9 @@ class RebuiltEstimator:
             case topics.JOINT_STATES | topics.JOINT_COMMANDS:
                 return None  # nor did the live estimator take it
             case _:
-                raise NotImplementedError(f"{topic} of REPLAYED_FROM is not taken")
+                raise ContractError(
+                    f"topic {topic} stands in REPLAYED_FROM, and no case here takes it; add one"
+                )
         with suppress(CableSenseError):  # the live estimator refused it too
             take(parsed_message(raw))
         return None

@@ -30,10 +30,12 @@ def felt_across(observer: Observer) -> Array:
     directions are felt, or none is.
     """
     changes = np.concatenate(_changes_of_readings(observer), axis=2)
-    directions, sizes, _ = np.linalg.svd(changes, full_matrices=False)
-    projections = np.tile(np.eye(2), (len(sizes), 1, 1))
-    in_plane = (sizes[:, 1] <= _UNFELT * sizes[:, 0]) & (sizes[:, 0] > 0.0)
-    felt = directions[in_plane, :, 0]
+    parts = np.linalg.svd(changes, full_matrices=False)
+    largest = parts.S[:, 0]
+    smallest = parts.S[:, 1]
+    in_plane = (smallest <= _UNFELT * largest) & (largest > 0.0)
+    projections = np.tile(np.eye(2), (len(largest), 1, 1))
+    felt = parts.U[in_plane, :, 0]
     projections[in_plane] = felt[:, :, None] * felt[:, None, :]
     return projections
 

@@ -339,10 +339,20 @@ def _support(
     return ratios if enough and all(needed) else {}
 
 
-def ambiguity(
-    problem: Problem, ranked: Sequence[Ranked], unit: str = "N"
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Hypotheses between which the recording does not decide, and a reason for each rival.
+class Ambiguity(NamedTuple):
+    """Hypotheses between which a recording does not decide.
+
+    Attributes:
+        group: their names, the best first; several effects are joined by `+`.
+        reasons: a sentence for each but the best.
+    """
+
+    group: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+def ambiguity(problem: Problem, ranked: Sequence[Ranked], unit: str = "N") -> Ambiguity:
+    """The hypotheses between which the recording does not decide, and a reason for each rival.
 
     The best comes first, and alone if it is clear; several effects are joined by `+`. `none` and
     an unlisted effect change nothing that could be compared, so they are in no group of others.
@@ -350,9 +360,9 @@ def ambiguity(
     """
     best = ranked[0]
     rivals = rivals_of(ranked)
-    return (
-        tuple("+".join(each.effects) for each in (best, *rivals)),
-        tuple(_reason(problem, best, rival, unit) for rival in rivals),
+    return Ambiguity(
+        group=tuple("+".join(each.effects) for each in (best, *rivals)),
+        reasons=tuple(_reason(problem, best, rival, unit) for rival in rivals),
     )
 
 

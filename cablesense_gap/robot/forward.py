@@ -8,6 +8,7 @@ in a window, minus those of motion at constant speed.
 from __future__ import annotations
 
 import copy
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -56,8 +57,9 @@ class ForwardComparison(MotionComparison):
         """Take a robot and its motion as it was measured."""
         self._robot = robot
         span = _span(motion)
-        begins, of_trials = _windows(motion, span, _substeps(robot, motion))
-        compared_trials, self.trial = np.unique(of_trials, return_inverse=True)
+        windows = _windows(motion, span, _substeps(robot, motion))
+        begins = windows.begins
+        compared_trials, self.trial = np.unique(windows.trials, return_inverse=True)
         self.trial_labels = tuple(motion.trials[number].label for number in compared_trials)
         self._rollouts = Rollouts(robot, motion, begins, span)
         self.span_s = span / motion.rate_hz
@@ -256,10 +258,15 @@ def _substeps(robot: Robot, motion: Motion) -> int:
     return int(np.ceil(1.0 / (motion.rate_hz * robot.model.opt.timestep) - 1e-6))
 
 
-def _windows(
-    motion: Motion, span: int, substeps: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First rows (Q,) among those of all trials, and of which of the motion's trials (Q,).
+class _Windows(NamedTuple):
+    """Q windows: their first rows (Q,) among those of all trials, and their trials (Q,)."""
+
+    begins: NDArray[np.int64]
+    trials: NDArray[np.int64]
+
+
+def _windows(motion: Motion, span: int, substeps: int) -> _Windows:
+    """The windows of a motion, each of `span` rows.
 
     Raises:
         RecordingError: there are too few.
@@ -275,13 +282,14 @@ def _windows(
         first += len(path)
     count = sum(len(rows) for rows in begins)
     stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT_WINDOWS)
-    begin, trial = (np.concatenate(each)[:: max(stride, 1)] for each in (begins, numbers))
+    begin = np.concatenate(begins)[:: max(stride, 1)]
+    trial = np.concatenate(numbers)[:: max(stride, 1)]
     if len(begin) < _FEWEST_WINDOWS:
         raise RecordingError(
             f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
             f"trials of several seconds, for {_FEWEST_WINDOWS} at least"
         )
-    return begin, trial
+    return _Windows(begin, trial)
 
 
 def _ends_of_trials(motion: Motion, begins: NDArray[np.int64]) -> NDArray[np.int64]:
