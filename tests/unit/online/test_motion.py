@@ -157,3 +157,15 @@ def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
         status = status_after(step)
     assert not watched.motion.shut
     assert status.level is Level.OK
+
+
+def test_lengths_are_moves_by_what_a_joint_turns_for_them():
+    """A joint 2.5 mm from its wire: 0.3 mm is 7 degrees, half a micrometre is a hundredth."""
+    settings = Gate(still_rad=np.deg2rad(0.02)).settings
+    gate = MotionGate(settings, per_radian=0.0025)
+    length_m = np.full(2, 0.07)
+    rested = gate.at_sample(gate.at_rest(length_m), 10**9, 10**9, 1.0)
+    rested = gate.at_sample(rested, 10**11, 10**11, 100.0)
+    assert not rested.shut
+    assert not gate.follows(rested, length_m + 3e-4)
+    assert gate.follows(rested, length_m + 5e-7)
