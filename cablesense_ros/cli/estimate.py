@@ -15,6 +15,7 @@ import typer
 
 from cablesense_base.files import OutputError, output_file, write_atomically
 from cablesense_base.plain_yaml import parse_plain_mapping
+from cablesense_base.progress import progress_bar
 from cablesense_ros.cli.options import (
     ColumnsOption,
     ForceOption,
@@ -97,7 +98,11 @@ def estimate(
     print_notes(recorded.notes, json_output)
     known = loaded.calibration("" if calibration is None else str(calibration))
     settings = node_settings(tare_samples=tare_rows)
-    answers = list(recorded_answers(recorded, loaded, settings, known))
+    answers: list[RecordedAnswer] = []
+    with progress_bar(len(recorded), shown=not json_output, what="rows") as advance:
+        for answer in recorded_answers(recorded, loaded, settings, known):
+            answers.append(answer)
+            advance(1)
     require_tare(answers, tare_rows)
     write_atomically(out, _table(answers), OutputError)
     links = [name.replace("_", " ") for name in loaded.machine.link_names]

@@ -112,6 +112,24 @@ def test_a_csv_of_other_names_and_units_becomes_a_table_and_a_plot(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("options", "shown"), [((), True), (("--json",), False)])
+def test_a_terminal_shows_how_many_rows_are_answered_unless_json_is_asked_for(
+    foreign: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    shown: bool,
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as if standard error were a terminal
+    recording, meant = foreign
+    command = ["estimate", recording, "--columns", meant, "--out", tmp_path / "found.csv"]
+    result = CliRunner().invoke(app, [*map(str, command), *options])
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    assert (f"{ROWS}/{ROWS}" in result.stderr) == shown
+    assert f"{ROWS}/{ROWS}" not in result.stdout
+
+
+@pytest.mark.slow
 def test_a_bag_of_other_topics_is_estimated_too(
     run: tuple[np.ndarray, ...], tmp_path: Path
 ) -> None:
