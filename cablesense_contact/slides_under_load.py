@@ -26,6 +26,11 @@ a part of it."""
 _STANDING_STD = 0.7
 """Deviation of the slide where cable stands at its pulley, as computed from how the joints gave
 way."""
+_TURNED_BACK_SHARE = 0.02
+"""How far the tension behind a pulley may have gone back since cable slid there, as a share of the
+largest change of a reading."""
+_FIRM_SHARE = 0.1
+"""Where a reading has changed by more than this share of the largest change, it has not."""
 _GUIDE_STD = 0.7
 """Deviation of slides at the guides in the arm under a load: they follow from how the joints give
 way, which readings show as well as they show what friction holds."""
@@ -104,12 +109,23 @@ class SlidesAtPose:
         passed_m = (self._run_m_n * change_n)[:, None] + between_m[:, :-1].cumsum(axis=1)
         earlier = Slides(before.mean[1:], before.std[1:], before.common[1:])
         guides = turned(earlier, passed_m.T, self._guides_turn_m, _GUIDE_STD)
-        pulley_std = np.where(moved, SLIDING_STD, _STANDING_STD)
+        pulley_std = np.where(moved, self._slid_std(change_n, held_n), _STANDING_STD)
         return Slides(
             np.vstack([np.where(moved, slid, stands), guides.mean]),
             np.vstack([pulley_std, guides.std]),
             common,
         )
+
+    def _slid_std(self, change_n: Array, held_n: Array) -> Array:
+        """(M,) deviations of the slides of cables that have slid while readings changed.
+
+        Where a reading has changed little while others changed much, the tension may have gone up
+        and down: on its way back the cable sticks, and the sensor does not see it.
+        """
+        largest_n = np.abs(change_n).max()
+        small = np.abs(change_n) < _FIRM_SHARE * largest_n
+        turned_back = small * _TURNED_BACK_SHARE * largest_n / held_n
+        return np.minimum(np.hypot(SLIDING_STD, turned_back), _STANDING_STD)
 
 
 @dataclass(frozen=True)
