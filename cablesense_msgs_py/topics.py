@@ -19,24 +19,23 @@ SIMULATED_TENSIONS: Final = "simulated_tensions"
 CAN frames."""
 JOINT_COMMANDS: Final = "joint_commands"
 """`sensor_msgs/JointState`: `position` in rad as commanded, by name (`joint_1_pitch`,
-`joint_1_yaw`, …) in any order. Joints that are not named keep their command, which is straight
-before the first."""
+`joint_1_yaw`, …) in any order. Other joints keep their command, at first straight."""
 JOINT_TRAJECTORY: Final = "joint_trajectory"
-"""`trajectory_msgs/JointTrajectory`: taken by `sim`, `can_driver` and `estimator` as commands
-every 20 ms. Recordings for a diagnosis, page and controllers need `joint_commands`."""
+"""`trajectory_msgs/JointTrajectory`: `sim`, `can_driver` and `estimator` take it as commands every
+20 ms; recordings for a diagnosis, page and controllers need `joint_commands`."""
 CABLE_OFFSETS: Final = "cable_offsets"
-"""`sensor_msgs/JointState`: cable names, `position` in m by which each cable is to be longer than
-its commanded length, at most 5 mm. This and `joint_commands` state in `header.frame_id` whether
-they belong to a breath (`messages.breath_turn`)."""
+"""`sensor_msgs/JointState`: cable names, `position` in m by which each cable is to exceed its
+commanded length, at most 5 mm. As in `joint_commands`, `header.frame_id` marks a breath
+(`messages.breath_turn`)."""
 JOINT_STATES: Final = "joint_states"
 """`sensor_msgs/JointState`: `position` in rad by joint name, as they are in the simulation; of a
 real arm the set-points of its commands, from `can_driver`."""
 APPLIED_WRENCH: Final = "applied_wrench"
-"""`geometry_msgs/WrenchStamped`: a known force on one segment, in base axes, N. In frame
-`segment_N` without torque, or in the base frame with the torque that it has there; in the frame
-of a machine's link, a torque says where on the link it acts."""
+"""`geometry_msgs/WrenchStamped`: a known force on one segment, in base axes, N: in frame
+`segment_N` without torque, or in the base frame, or that of a machine's link, with the torque that
+says where."""
 TRIAL: Final = "trial"
-"""`std_msgs/Int32`: optional, for a diagnosis; the number of the trial that starts now."""
+"""`std_msgs/Int32`: optional, for a diagnosis: the number of the trial that starts now."""
 ROBOT_DESCRIPTION: Final = "robot_description"
 """`std_msgs/String`: the URDF generated from the arm file; transient local."""
 DIAGNOSTICS: Final = "/diagnostics"
@@ -62,11 +61,11 @@ STATUS: Final = "~/status"
 status, whose message is a `messages.ForceState`."""
 ESTIMATE: Final = "~/estimate"
 """`cablesense_msgs/ForceEstimate`: one for every sample, where that package is installed: state,
-wrench, intervals and place together. Recordings leave it out, as other topics have what it has."""
+wrench, intervals and place together. Recordings leave it out."""
 WRENCH_LOWER: Final = "~/wrench_lower"
 """`geometry_msgs/WrenchStamped`: with every estimate, the lower end of the 95 % intervals of force
-and direction. Directions go from the lower's on with a growing angle; where it is zero every
-direction may be true."""
+and direction. Directions range from this one to the upper's with a growing angle; where it is zero
+every direction may be true."""
 WRENCH_UPPER: Final = "~/wrench_upper"
 """`geometry_msgs/WrenchStamped`: the upper end."""
 WRENCH_BASE: Final = "~/wrench_base"
@@ -87,8 +86,8 @@ CALIBRATION: Final = "calibration"
 """`std_msgs/UInt8MultiArray`: the content of a calibration file, as a commissioning makes it; the
 estimator takes it over; transient local."""
 CALIBRATION_USED: Final = "~/calibration"
-"""`std_msgs/UInt8MultiArray`: the content of a calibration file, as the estimator uses it from now
-on; its layout's label has model, settings and time as JSON; transient local."""
+"""`std_msgs/UInt8MultiArray`: the same, as the estimator uses it from now on; its layout's label
+has model, settings and time as JSON; transient local."""
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 TARE_UNDO: Final = "~/tare_undo"
