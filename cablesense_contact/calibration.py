@@ -52,8 +52,8 @@ class Unloaded:
     """The mean of some readings of the untouched arm at one command.
 
     Attributes:
-        reading_n: (M,) their mean.
-        command_rad: (2N,).
+        reading_n: (M,) their mean, in the channels' units: N, of joints' torques N·m.
+        command_rad: (2N,); of a machine (C,), rad or m as of `FeltMachine.command_names`.
         count: how many readings.
         taken_ns: time of the last one since the epoch.
         came_from_rad: (2N,) another command from which the unloaded arm came straight to this one,

@@ -42,7 +42,7 @@ class CommandedMotion:
     """What is known of the arm's motion at the last sample, and of the commands since.
 
     Attributes:
-        command_rad: (2N,) the command in force.
+        command_rad: (2N,) the command in force; of a machine (C,), rad or m, as all `_rad` here.
         pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
         course: the set-points.
         last_ns: stamp of the last sample.

@@ -1,4 +1,4 @@
-"""One recording of an arm, as arrays: its trials, and the rows of a long one that are used.
+"""A recording of an arm or another machine, as arrays: its trials, and which rows are used.
 
 Rows are chosen, never averaged, because the noise of a reading must stay that of the sensors
 (docs/diagnosis_method.md). The ends of each trial are kept, rows where the command or the load
@@ -70,16 +70,22 @@ class RecordingError(CableSenseError):
 
 @dataclass(frozen=True)
 class Recording:
-    """Commands, known loads and readings of an arm: R rows in time order.
+    """Commands, known loads and readings of an arm or another machine: R rows in time order.
+
+    Names and shapes are those of an arm. A machine that MuJoCo describes has C commands, in rad of
+    hinges and m of slides and of tendons, and M readings, in N of tendons and slides and N·m of
+    hinges.
 
     Attributes:
         name: of the file it came from, without its suffix.
         time_s: (R,) since the recording began.
         trial: (R,) blocks that belong together; they are held out whole.
-        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first.
+        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first; of a
+            machine (R, C), or its measured joints.
         load_segment: (R,) 1 to N where a known load acts, else 0.
         load_n: (R, 3) that load, base frame.
-        tensions_n: (R, M) as the sensors at the actuator ends read them.
+        tensions_n: (R, M) as the sensors at the actuator ends read them; of a machine also joints'
+            torques.
         load_at_m: (R,) where on its segment's axis the load acts, from the joint centre; NaN for
             the arm file's `contact_m`. None where no row states a place.
         notes: what was read and how, as sentences.
