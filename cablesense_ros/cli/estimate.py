@@ -99,7 +99,7 @@ def estimate(
     known = loaded.calibration("" if calibration is None else str(calibration))
     settings = node_settings(tare_samples=tare_rows)
     answers: list[RecordedAnswer] = []
-    with progress_bar(len(recorded), shown=not json_output, what="rows") as advance:
+    with progress_bar(len(recorded), what="rows") as advance:
         for answer in recorded_answers(recorded, loaded, settings, known):
             answers.append(answer)
             advance(1)

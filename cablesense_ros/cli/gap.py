@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
+from cablesense_base.progress import StagedProgress, staged_progress, status
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.interrupted import resumable
 from cablesense_ros.cli.options import (
@@ -28,7 +30,6 @@ from cablesense_ros.cli.options import (
     RecordingArgument,
     TopicsOption,
     WorkersOption,
-    diagnosis_progress,
     print_json,
     refuse_given,
 )
@@ -140,10 +141,7 @@ def diagnose(
         )
         inputs = [path for path in (recording, robot.path, reference) if path]
         settings = [bandwidth, forward, zeroed, positions, topic, effort, sorted(beside.items())]
-        with (
-            resumable(out, inputs, settings, console) as kept,
-            diagnosis_progress(console) as progress,
-        ):
+        with resumable(out, inputs, settings, console) as kept, _diagnosis_progress() as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
             of_reference = () if healthy is None else healthy.notes
@@ -184,6 +182,12 @@ def _next(step: NextStep) -> str:
     return f"Next: {step.title.lower()}: {step.command}"
 
 
+def _diagnosis_progress() -> AbstractContextManager[StagedProgress]:
+    from cablesense_gap.diagnosis.duration import STAGES
+
+    return staged_progress(STAGES)
+
+
 def _refuse_forward(context: typer.Context, positions: str) -> None:
     if positions == "external":
         refuse_given(context, ["forward"], "with --positions external")
@@ -219,7 +223,7 @@ def _diagnosed_arm(
     inputs = [path for path in (recording, arm_file, reference, columns) if path]
     with (
         resumable(out, inputs, ["diagnose", topics], console) as kept,
-        diagnosis_progress(console) as progress,
+        _diagnosis_progress() as progress,
     ):
         diagnosis = make(
             recorded,
@@ -339,7 +343,7 @@ def _predicted_arm(
         raise CableSenseError(
             f"--settle {settle}: {recording} has {rows} rows; leave some to predict"
         )
-    with console.status("predicting"):
+    with status("predicting"):
         described = settled(described, recorded, settle)
         tensions_n = replay_arm(described, recorded.course)
     write_csv(out, replace(recorded, tensions_n=tensions_n))
@@ -413,7 +417,7 @@ def adapt(
     with (
         resumable(out, (recording, arm_file), ["adapt", topic], console) as kept,
         tempfile.TemporaryDirectory() as folder,
-        diagnosis_progress(console) as progress,
+        _diagnosis_progress() as progress,
     ):
         adaptation = make(
             recorded,

@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
+from cablesense_base.progress import status
 from cablesense_ros.cli.options import (
     DaskOption,
     DurationOption,
@@ -296,7 +297,7 @@ def watch(
         incoming = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
     verdicts: list[Verdict] = []
     for path in later:
-        with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
+        with status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
             verdicts.append(next(incoming))
     write_drift(out, verdicts)
     if json_output:
