@@ -1,4 +1,4 @@
-"""A recording read by its path, and checked.
+"""Whether a recording can be used.
 
 Its form first: shapes, numbers, time and labels. Then its channels: saturated, stuck or exchanged
 ones, those of another arm.
@@ -6,15 +6,14 @@ ones, those of another arm.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cablesense_base import Array, some_of
+from cablesense_base import Array
 from cablesense_msgs_py.messages import MAX_LOAD_N
 from cablesense_recording.channel_checks import (
     constant_channels,
@@ -23,21 +22,8 @@ from cablesense_recording.channel_checks import (
     time_findings,
 )
 from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME, tension_columns
-from cablesense_recording.column_map import ColumnMap
-from cablesense_recording.csv_file import CSV_ENDINGS, read_csv
 from cablesense_recording.layout import Described, Layout, layout_of
-from cablesense_recording.mapped import read_mapped
-from cablesense_recording.mcap_file import is_bag, read_mcap
-from cablesense_recording.recording import (
-    EXCHANGED,
-    Finding,
-    Recording,
-    RecordingError,
-    refuse,
-    refuse_unusable,
-    rows_named,
-    warn,
-)
+from cablesense_recording.recording import EXCHANGED, Finding, Recording, refuse, rows_named, warn
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -65,36 +51,6 @@ _SCALES = (0.2, 5.0)
 """No effect scales them by more."""
 _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
-
-
-def read_recording(
-    path: str | Path, arm: Described, topics: Sequence[str] = (), columns: ColumnMap | None = None
-) -> Recording:
-    """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
-
-    It is of an arm, or of another machine that is opened. Of a bag with several that is read whose
-    `topics` are given. `columns` says what columns of other names and units mean.
-
-    Raises:
-        RecordingError: no such file, another format, or what cannot be used.
-    """
-    path = Path(path)
-    if columns is not None:
-        if topics:
-            raise RecordingError(f"{path}: a map of columns names the topics of a bag itself")
-        recording = read_mapped(path, arm, columns)
-    elif path.name.lower().endswith(CSV_ENDINGS):
-        if topics:
-            raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
-        recording = read_csv(path, arm)
-    elif is_bag(path):
-        recording = read_mcap(path, arm, topics)
-    else:
-        raise RecordingError(
-            f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"
-        )
-    refuse_unusable(recording, check_form(recording, arm))
-    return recording
 
 
 def check_form(recording: Recording, machine: Described) -> list[Finding]:

@@ -146,7 +146,7 @@ class _Part:
         return self.stated_trial is not None
 
 
-def read_robot_recording(
+def read_by_channels(
     path: str | Path,
     channels: RobotChannels,
     topics: Sequence[str] = (),

@@ -224,8 +224,8 @@ def _recorded(
     from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
 
     errors = {}
     notes: tuple[str, ...] = ()

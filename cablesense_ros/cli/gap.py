@@ -129,7 +129,7 @@ def diagnose(
         from cablesense_gap.report.page import write_robot_diagnosis
         from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
-        from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.recording import read_robot_recording
         from cablesense_gap.robot.system import diagnose as make
 
         refuse_given(context, ["arm", "columns"], "with --model")
@@ -137,7 +137,11 @@ def diagnose(
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
         read = partial(
-            read_recording, robot=robot, topics=topic or (), efforts=effort or (), force=force
+            read_robot_recording,
+            robot=robot,
+            topics=topic or (),
+            efforts=effort or (),
+            force=force,
         )
         inputs = [path for path in (recording, robot.path, reference) if path]
         settings = [bandwidth, forward, zeroed, positions, topic, effort, sorted(beside.items())]
@@ -209,8 +213,8 @@ def _diagnosed_arm(
     from cablesense_gap.report.next_step import Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -291,14 +295,14 @@ def predict(
     else:
         from cablesense_gap.robot.amending import load_amended
         from cablesense_gap.robot.preparation import prepared
-        from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.recording import read_robot_recording
         from cablesense_gap.robot.system import RobotSystem, write_prediction
 
         refuse_given(context, ["arm", "settle"], "with --model")
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot, topic or (), efforts=effort or ())
+        recorded = read_robot_recording(recording, robot, topic or (), efforts=effort or ())
         external = positions == "external"
         motion = prepared(recorded, robot, bandwidth, forward, zeroed=zeroed, external=external)
         system = RobotSystem(robot, motion, beside)
@@ -329,8 +333,8 @@ def _predicted_arm(
     """Figures, and lines for people."""
     from cablesense_gap.amended_arm import find_amended
     from cablesense_gap.arm_simulator import counted_rows, settled
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.csv_file import write_csv
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 
@@ -399,7 +403,7 @@ def adapt(
     from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
-    from cablesense_recording.checks import read_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)

@@ -231,7 +231,8 @@ def record(
     record_topics(out, INPUTS, duration, description, console, force=force)
     if description is None:
         return
-    from cablesense_recording.checks import check_recording, read_recording
+    from cablesense_recording.checks import check_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_recording.recording import rows_to_use
     from cablesense_sim.replay import replay_arm
 
@@ -315,7 +316,7 @@ def watch(
 
 
 def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
-    from cablesense_recording.checks import read_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import open_arm
 
     nominal = open_arm(arm)
@@ -324,10 +325,10 @@ def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
 
 def _of_robot(model: Path, topics: Sequence[str], efforts: Sequence[str]) -> _Machine:
     from cablesense_gap.robot.amending import load_amended
-    from cablesense_gap.robot.recording import read_recording
+    from cablesense_gap.robot.recording import read_robot_recording
 
     robot, beside = load_amended(model)
-    read = partial(read_recording, robot=robot, topics=topics, efforts=efforts)
+    read = partial(read_robot_recording, robot=robot, topics=topics, efforts=efforts)
     return read, _robot_verdict, (robot, beside)
 
 

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 from cablesense_base import CableSenseError
 from cablesense_base.progress import progress_bar
 from cablesense_msgs_py import topics
-from cablesense_recording.checks import read_recording
 from cablesense_recording.column_map import read_column_map
 from cablesense_recording.csv_file import write_table
+from cablesense_recording.reading import read_recording
 from cablesense_ros.cli.app import app
 from cablesense_sim import (
     mechanism_of,

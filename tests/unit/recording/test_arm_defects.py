@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablesense_recording.checks import check_recording, read_recording
+from cablesense_recording.checks import check_recording
 from cablesense_recording.csv_file import write_csv
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from tests.helpers.bags import write_mcap

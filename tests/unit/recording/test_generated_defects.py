@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording as read_robot
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import wrong_columns
 from cablesense_recording.checks import check_recording
-from cablesense_recording.checks import read_recording as read_arm
+from cablesense_recording.reading import read_recording as read_arm
 from cablesense_recording.recording import RecordingError
 from cablesense_sim.replay import replay_arm
 from tests.helpers.defective_recordings import (
@@ -57,7 +57,7 @@ def tables(folder):
 
 def said_of_robot(path, robot):
     """What is said of a recording by its reader, by the model, and its numbers."""
-    recording = read_robot(path, robot)
+    recording = read_robot_recording(path, robot)
     numbers = np.column_stack([recording.position, recording.torque])
 
     def said_by_model():

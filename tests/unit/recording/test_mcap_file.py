@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cablesense_msgs_py import topics
 from cablesense_recording import mcap_file
-from cablesense_recording.checks import read_recording
 from cablesense_recording.mcap_file import read_mcap
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
