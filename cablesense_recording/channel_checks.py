@@ -1,7 +1,8 @@
 """Checks that hold for the channels of any machine and of any format: clocks and dead channels.
 
-Rows are counted from 1, as people count them in a file; a row of a bag is a message of the topic
-that its readings came from.
+Rows are counted from 1, as people count them in a file. Of a bag the messages of the readings are
+counted, those before the first row too; of a robot's, whose rows may be put together from several
+topics, these rows.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from cablesense_base import Array, some_of
 from cablesense_recording.channels import TIME, Channel
-from cablesense_recording.recording import Finding, refuse, rows_named, warn
+from cablesense_recording.recording import Finding, RowNames, refuse, warn
 
 DEAD = "dead"
 """The kind of the finding that a channel does not follow what it measures."""
@@ -72,12 +73,12 @@ _ALTERNATING = 0.5
 
 
 def time_findings(
-    time_s: Array, may_restart: NDArray[np.bool_], first_row: int = 1
+    time_s: Array, may_restart: NDArray[np.bool_], names: RowNames, *, of_bag: bool
 ) -> Iterator[Finding]:
     """Where a clock (R,) stands still, runs back, or gives way to another for one row.
 
-    It may begin anew in rows that `may_restart` (R,) marks. `first_row` is the number of the
-    first.
+    It may begin anew in rows that `may_restart` (R,) marks. In a bag, other than in a file, no row
+    can be moved or left out, so what can be done is to record again.
     """
     steps_s = np.diff(time_s)
     back = np.flatnonzero((steps_s <= 0.0) & ~may_restart[1:])
@@ -88,12 +89,14 @@ def time_findings(
     usual_s = float(np.median(steps_s[steps_s > 0.0])) if (steps_s > 0.0).any() else 0.0
     back_s = -float(steps_s[last])
     if back_s == 0.0:
-        still = np.zeros(len(time_s) + first_row - 1, dtype=bool)
-        still[first_row - 1 + 1 + np.flatnonzero((steps_s == 0.0) & ~may_restart[1:])] = True
+        still = np.append(False, (steps_s == 0.0) & ~may_restart[1:])
+        remedy = "leave out rows that stand twice"
+        if of_bag:
+            remedy = "have each message stamped when it is read, and published once"
         yield refuse(
             "time",
-            f"{TIME} stands still in {rows_named(still)}; each row must be later than the one "
-            "before: leave out rows that stand twice",
+            f"{TIME} stands still in {names.of(still)}; each must be later than the one before: "
+            f"{remedy}",
         )
         return
     alone = back_s > _FOREIGN_INTERVALS * usual_s
@@ -103,28 +106,43 @@ def time_findings(
         foreign = row
     else:
         more = f" (and in {len(back) - 1} more)" if len(back) > 1 else ""
+        remedy = "sort the rows, or part the file where its clock was set"
+        if of_bag:
+            remedy = "see whether two nodes publish them or a clock was set, and record again"
         yield refuse(
             "time",
-            f"{TIME} runs back by {back_s:.6g} s in row {row + first_row}{more}; each row must be "
-            "later than the one before: sort the rows, or part the file where its clock was set",
+            f"{TIME} runs back by {back_s:.6g} s in {names.of(_only(row, time_s))}{more}; each "
+            f"must be later than the one before: {remedy}",
         )
         return
+    remedy = "leave that row out"
+    if of_bag:
+        remedy = "see which node sent it, and record again"
     yield refuse(
         "time",
-        f"{TIME} is {time_s[foreign]:.6g} in row {foreign + first_row}, of another clock than the "
-        f"rows around it, from which it runs back by {back_s:.6g} s; leave that row out",
+        f"{TIME} is {time_s[foreign]:.6g} in {names.of(_only(foreign, time_s))}, of another clock "
+        f"than those around it, from which it runs back by {back_s:.6g} s; {remedy}",
     )
 
 
-def huge_values(label: str, values: Array, first_row: int = 1) -> Iterator[Finding]:
+def _only(row: int, values: Array) -> NDArray[np.bool_]:
+    """(R,) that marks one row."""
+    return np.arange(len(values)) == row
+
+
+def _counted_from(first_row: int, count: int) -> RowNames:
+    """Names of rows of which the first has a number."""
+    return RowNames(first_row + np.arange(count))
+
+
+def huge_values(label: str, values: Array, names: RowNames) -> Iterator[Finding]:
     """Where a channel (R,) has a number that is none of a measurement, as a broken message has."""
     huge = np.abs(np.nan_to_num(values)) > _MOST
     if huge.any():
-        marked = np.append(np.zeros(first_row - 1, dtype=bool), huge)
         yield refuse(
             "huge",
-            f"{label} is {values[huge][0]:.3g} in {rows_named(marked)}; no reading is beyond "
-            f"{_MOST:g}: leave these rows out",
+            f"{label} is {values[huge][0]:.3g} in {names.of(huge)}; no reading is beyond "
+            f"{_MOST:g}: leave these out",
         )
 
 
@@ -159,9 +177,9 @@ def uneven_time(time_s: Array, trial: NDArray[np.int64]) -> Iterator[Finding]:
 def parted_sentence(time_s: Array, leap: NDArray[np.bool_], first_row: int = 1) -> str:
     """What is done where time leaps (R,)."""
     largest_s = float(np.diff(time_s)[leap[1:]].max())
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    named = _counted_from(first_row, len(leap)).of(leap)
     return (
-        f"{TIME} leaps over {largest_s:.3g} s before {rows_named(marked)}: the trial is parted "
+        f"{TIME} leaps over {largest_s:.3g} s before {named}: the trial is parted "
         "there, and nothing is interpolated."
     )
 
@@ -253,16 +271,16 @@ def leaps_and_returns(
     spike &= around < _RETURNS * off
     spike[1:] &= np.diff(trial) == 0
     spike[:-1] &= np.diff(trial) == 0
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), spike)
+    names = _counted_from(first_row, len(spike))
     remedy = "record one publisher on a topic, and see whether the encoder is well"
     if spike.sum() >= _MOST_SPIKES:
         yield refuse(
             "publishers",
-            f"{label} leaps away and back in {rows_named(marked)}: another publisher's readings "
+            f"{label} leaps away and back in {names.of(spike)}: another publisher's readings "
             f"among its own, or an encoder that fails; {remedy}",
         )
     elif spike.any():
-        yield warn("glitch", f"{label} leaps away and back in {rows_named(marked)}")
+        yield warn("glitch", f"{label} leaps away and back in {names.of(spike)}")
     neighbours = np.sqrt((step**2).mean())
     for lag in _LAGS:
         apart = (position[lag:] - position[:-lag])[trial[lag:] == trial[:-lag]]
@@ -347,9 +365,9 @@ def leap_sentence(
     """What is done where positions (R, J) leap (R,)."""
     step = np.abs(np.diff(position, axis=0))[leap[1:]].max(axis=0)
     worst = int((step / np.maximum(np.ptp(position, axis=0), 1e-12)).argmax())
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    named = _counted_from(first_row, len(leap)).of(leap)
     return (
-        f"{labels[worst]} leaps by {step[worst]:.3g} before {rows_named(marked)}, as no joint "
+        f"{labels[worst]} leaps by {step[worst]:.3g} before {named}, as no joint "
         "moves: the trial is parted there."
     )
 

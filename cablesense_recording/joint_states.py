@@ -286,7 +286,7 @@ def _of_poses(
         f"{each.parent or '(no name)'}, which must be those of the model's base."
         for each in tracked
     ]
-    clock_ns, note = one_clock(*slowest.counts_and_times[:, 1:].T)
+    clock_ns, note = one_clock(bag.path, *slowest.counts_and_times[:, 1:].T)
     notes += [note] if note else []
     kept = np.ones(len(clock_ns), dtype=bool)
     columns: dict[str, Array] = {}
@@ -299,7 +299,7 @@ def _of_poses(
             )
         brought = values
         if number:
-            own_ns, _ = one_clock(*times[:, 1:].T)
+            own_ns, _ = one_clock(bag.path, *times[:, 1:].T)
             back = np.flatnonzero(np.diff(own_ns) <= 0)
             if back.size:
                 raise RecordingError(
@@ -482,7 +482,7 @@ def _merged(
     logs = [times[:, 1] for times, _, _ in series]
     clocks = []
     for times, _, _ in series:
-        clock_ns, note = one_clock(times[:, 1], times[:, 2])
+        clock_ns, note = one_clock(path, times[:, 1], times[:, 2])
         clocks.append(clock_ns)
         notes += [note] if note else []
     if len(series) > 1:
