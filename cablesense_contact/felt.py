@@ -279,7 +279,7 @@ def alike(
         yield rounded, np.array(rows[key], dtype=np.int64)
 
 
-def still(machine: FeltMachine) -> Array:
-    """(T, T) covariance of torques of a machine at rest."""
+def torque_covariance_at_rest(machine: FeltMachine) -> Array:
+    """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest: zero."""
     count = len(machine.torque_names)
     return np.zeros((count, count))

@@ -14,7 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, ContactPlace, Estimate
-from cablesense_contact.felt import FeltMachine, still
+from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
@@ -122,7 +122,7 @@ class LawContacts:
         self._judge = Judge(machine, contact_threshold)
         self._middle_m = machine.middle_m
         self._joint_m = machine.joint_m
-        self._still = still(machine)
+        self._covariance_at_rest = torque_covariance_at_rest(machine)
 
     def with_threshold(self, contact_threshold: float) -> LawContacts:
         """The same with another probability from which on a contact is stated."""
@@ -183,7 +183,7 @@ class LawContacts:
     def _torques_of(self, unrest: Unrest | None) -> Array:
         """(T, T) covariance of the torques of a motion."""
         if unrest is None:
-            return self._still
+            return self._covariance_at_rest
         return self._machine.unrest(unrest.speed_rad_s, unrest.swing_rad_s2)
 
     def _unseen_n(self, seen: LawOutput) -> float:

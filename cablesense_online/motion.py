@@ -126,7 +126,7 @@ class MotionGate:
         How fast actuators reach a length is not known: they are taken to be there at once.
         """
         self._settings = settings
-        self._still = settings.still_rad * per_radian
+        self._still_within = settings.still_rad * per_radian
         self._follow_s = settings.follow_rad_s * per_radian
         self._pose_step = _POSE_STEP_RAD * per_radian
         self._settle_ns = settings.settle_s * 1e9
@@ -160,7 +160,7 @@ class MotionGate:
     def follows(self, motion: CommandedMotion, command_rad: Array) -> bool:
         """Whether a command (2N,) would be followed with the gate as it is."""
         off_rad = float(np.abs(command_rad - motion.pose_rad).max())
-        if off_rad <= self._still and not motion.shut:
+        if off_rad <= self._still_within and not motion.shut:
             return True
         if not self._follow_s:
             return False
@@ -223,7 +223,7 @@ class MotionGate:
         turn_rad = float(np.abs(motion.command_rad - motion.course.angle_rad).max())
         course = motion.course.towards(motion.command_rad)
         turned_ns = motion.turned_ns
-        if turn_rad > self._still:
+        if turn_rad > self._still_within:
             turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
         return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
 
@@ -254,7 +254,7 @@ class MotionGate:
         """At the pose of the estimates that follows from the set-points."""
         angles_rad = motion.course.angle_rad if motion.course.moving else motion.command_rad
         off_rad = float(np.abs(angles_rad - motion.pose_rad).max())
-        follows = self._follow_s or off_rad > self._still
+        follows = self._follow_s or off_rad > self._still_within
         far = off_rad > self._pose_step or (off_rad and not motion.course.moving)
         return replace(motion, pose_rad=angles_rad) if follows and far else motion
 
