@@ -48,8 +48,8 @@ CONTACT_REGION: Final = "~/contact_region"
 """`geometry_msgs/PolygonStamped`: two points on the segment's axis, in frame `segment_N`, the ends
 of the place's 95 % interval; only during a contact."""
 CONTACT_POSE: Final = "~/contact_pose"
-"""`geometry_msgs/PoseWithCovarianceStamped`: the same point in the base frame, the x axis along the
-normal force, the z axis along the segment; only during a contact."""
+"""`geometry_msgs/PoseWithCovarianceStamped`: the same point in the base frame, the x axis along
+the normal force, the z axis along the segment; only during a contact."""
 CONTACT_COVARIANCE: Final = "~/contact_covariance"
 """`std_msgs/Float64MultiArray`: 4 x 4 by rows, of the place on the segment's axis, m, and the
 force along the segment's axes, N; without a stamp, after the sample's wrench; only during a

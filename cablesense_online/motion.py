@@ -176,22 +176,26 @@ class MotionGate:
     ) -> CommandedMotion:
         """The motion at the next sample's stamp.
 
-        The sample comes at `now_ns` of the clock that sets stamps, at monotonic time `now_s`.
+        The sample is of `stamp_ns` and comes at `now_ns`, both of the clock that sets stamps. It
+        comes at `now_s` of the monotonic clock, by which a wait is timed whatever the stamps do.
+        The set-points have a time of their own, from where they began to move.
         """
         if self._rests(motion, stamp_ns):
             return replace(motion, last_ns=stamp_ns, stepped=0)
-        first = motion.last_ns == LONG_AGO_NS
-        motion = _with_stamp(motion, stamp_ns)
-        if motion.course.moving:
-            elapsed_s = max(0, stamp_ns - motion.course_from_ns) * 1e-9
-            motion = self._swinging_on(replace(motion, course=motion.course.at(elapsed_s)))
-        if motion.heading:
-            motion = self._headed(motion)
-        if motion.heading or first:
-            sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
-            motion = self._waiting_for_course(motion, sampled_s, first=first)
-        motion = _held_shut(motion, now_s)
-        return motion if motion.shut else self._at_pose(motion)
+        is_first = motion.last_ns == LONG_AGO_NS
+        stamped = _with_stamp(motion, stamp_ns)
+        moved = stamped
+        if stamped.course.moving:
+            on_course_s = max(0, stamp_ns - stamped.course_from_ns) * 1e-9
+            moved = self._swinging_on(replace(stamped, course=stamped.course.at(on_course_s)))
+        headed = self._headed(moved) if moved.heading else moved
+        waiting = headed
+        if headed.heading or is_first:
+            sample_age_s = max(0, now_ns - stamp_ns) * 1e-9
+            sampled_s = now_s - sample_age_s
+            waiting = self._waiting_for_course(headed, sampled_s, first=is_first)
+        timed = _held_shut(waiting, now_s)
+        return timed if timed.shut else self._at_pose(timed)
 
     def turning(self, motion: CommandedMotion) -> bool:
         """Whether the joints have turned within the time in which the arm settles."""
