@@ -26,50 +26,59 @@ _MOST = 1e9
 _FOREIGN_INTERVALS = 10.0
 """A single stamp that is off by more of the usual intervals is of another clock."""
 _LEAP_INTERVALS = 5.0
+"""Time leaps where rows are farther apart than this many usual intervals, and"""
 _LEAP_S = 0.1
-"""Time leaps where rows are farther apart than both: nothing is known of what lies between."""
+"""than this: nothing is known of what lies between."""
 _MOST_LEAPS = 0.05
+"""Share of rows before which time leaps, above which it is no time that rows were sampled by."""
 _UNEVEN = 3.0
-"""Share of rows before which time leaps, and mean by median interval, from which on time is none
-that rows were sampled by."""
+"""Mean interval by the median one, above which it is none either."""
 _BY_CHANCE = 1e-9
 """Probability below which readings that are equal are no chance."""
 _DEAD_ROWS = 20
+"""Rows in which a dead channel stands still, at the least."""
 _DEAD_SHARE = 0.2
+"""Share of all rows from which on a channel that stands still is dead,"""
 _DOUBTFUL_SHARE = 0.05
-"""Least rows, and shares of all rows, in which a dead channel stands still."""
+"""and from which on it is doubtful."""
 _MOVES = 0.1
 """A joint moves where it goes to and fro by this share of its whole span."""
 _SPIKE_SHARE = 0.05
+"""A single reading is no motion where it is off by this share of the span, and"""
 _SPIKE_STEPS = 5.0
+"""by this many usual steps, and where"""
 _RETURNS = 0.25
-"""A reading that is off by the share of the span and by that many usual steps, and is back in the
-next row but for the last share, is no motion."""
+"""the next row is back but for this share of that."""
 _LEAST_SPIKE = {"rad": 0.01, "m": 0.001}
 """Encoders of joints that rest toggle by less."""
 _MOST_SPIKES = 5
+"""Spikes from which on they are another source's readings."""
 _AROUND = 11
 """Rows around a step whose median is the usual one there."""
 _LEAP_STEPS = 8.0
+"""A step is none of a joint that moves where it is off the steps around it by more than this
+multiple of what is usual there, and"""
 _MOST_TIMES = 3.0
+"""by more than this multiple of what"""
 _MOST_PERCENT = 99.0
+"""this percentage of all steps are off at most, and"""
 _LEAP_SHARE = 0.1
-"""A step is none of a joint that moves where it is off the steps around it by more than these
-multiples of what is usual there and of what nearly all steps are off, and by the share of the
-span."""
+"""by more than this share of the span."""
 _HIT_ROWS = 9
 """About the row where a joint is hit: a parabola that has the hit within it is off, too."""
 _BESIDE = 6
+"""Rows before a step, and rows after it, through which a parabola each is laid. Between them these
+differ by a leap, and by next to nothing where a joint is hit, which turns speeds alone."""
 _LEAST_OFF = 0.005
+"""A leap is more than this share of the span, and"""
 _MOST_OFF = 10.0
+"""more than this multiple of what"""
 _OFF_PERCENT = 90.0
-"""The motion by so many rows before a step, and by those after it, is a parabola each. Between the
-rows they differ by a leap, and by next to nothing where a joint is hit, which turns speeds alone.
-A leap is more than that share of the span, and than a multiple of what the percentage of all
-largest differences of their surroundings are."""
+"""this percentage of the largest differences around it are at most."""
 _LAGS = (2, 3)
+"""Rows so far apart are of one source, where two or three send by turns:"""
 _ALTERNATING = 0.5
-"""Readings of several sources by turns: rows a few apart differ less than this by neighbours."""
+"""they differ by less than this share of what neighbours differ by."""
 
 
 def time_findings(
