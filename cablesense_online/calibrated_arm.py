@@ -61,7 +61,7 @@ class CalibratedState(UnloadedState[Calibration]):
     """The calibration in force, as `known_by`, and what has moved the cables.
 
     Attributes:
-        way: of the commands.
+        way: how the arm came to the present command, which says where its cables have slid.
         untouched: readings at the present pose.
         under_load: what readings since have said of slides; None before they count.
         remembered: the belief at the last sample, which is mostly that of the next.

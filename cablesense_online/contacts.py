@@ -40,7 +40,7 @@ _STATES = {
 
 @dataclass(frozen=True)
 class Situation:
-    """What a reading is answered in.
+    """What beside a reading decides how it is answered: pose, time, motion, and friction.
 
     Attributes:
         pose_rad: (2N,) where the joints are commanded.
@@ -133,7 +133,13 @@ class LawContacts:
     def find(
         self, state: CalibratedState, reading_n: Array, situation: Situation
     ) -> tuple[CalibratedState, FoundContacts | None]:
-        """The contacts in a reading (M,), N, and the state after it; None while untared."""
+        """The contacts in a reading (M,), N, and the state after it; None while untared.
+
+        Where the arm has not been seen untouched at this pose, the law is asked twice: first as if
+        the arm came here untouched, so that its cables have slid as that motion makes them. If
+        that shows a contact, the arm may have been touched on its way, and its cables may have
+        slid anyhow; the second answer, which allows for that, is the one that counts.
+        """
         if not state.known:
             return state, None
         state, seen = self._seen(state, reading_n, situation)

@@ -22,8 +22,8 @@ class EstimationSettings(BaseModel):
         auto_tare: whether the first tare is taken by itself.
         await_breath: whether that waits for a breath.
         joint_speed_rad_s: at which the joints move to a command.
-        settle_s: after which a move has settled.
-        still_rad: commands within this move nothing.
+        settle_s: how long the arm swings after its joints have arrived at a command, s.
+        still_rad: a command within this of the pose moves nothing: its noise, not a move.
         follow_rad_s: a motion up to this speed is followed.
         unknown_force: what is published where no force is known.
         hidden_above_n: a free arm is `hidden` where forces above this might not show.

@@ -65,7 +65,12 @@ class _Source(CountedMessages):
 
 @dataclass
 class _Series:
-    """Numbers that hold until the next: commands or trials, and the count of all messages."""
+    """Numbers of one topic, each of which holds until the next: commands, or a trial's number.
+
+    Attributes:
+        counts: which message of the bag each came with, counted over all topics from 1.
+        numbers: of one message after the other, as many each.
+    """
 
     counts: array[int] = field(default_factory=lambda: array("q"))
     numbers: array[float] = field(default_factory=lambda: array("d"))

@@ -95,14 +95,7 @@ class RobotSystem(System):
         self.name = robot.name
         self.listed = dict(listed)
         self.motion = motion
-        compare: type[ServoComparison | ForwardComparison | InverseComparison] = (
-            ServoComparison
-            if motion.external
-            else ForwardComparison
-            if motion.forward
-            else InverseComparison
-        )
-        self.comparison: MotionComparison = compare(robot, motion)
+        self.comparison = _comparison_of(robot, motion)
         by_servos = motion.external or (motion.forward and motion.by_command)
         offered = [
             effect
@@ -396,6 +389,15 @@ class RobotSystem(System):
             ):
                 ratios[self.comparison.columns[c]] = float(measured[c] / modelled[c])
         return ratios
+
+
+def _comparison_of(robot: Robot, motion: Motion) -> MotionComparison:
+    """By the commands of servos, forward in time, or by the torques that a motion needs."""
+    if motion.external:
+        return ServoComparison(robot, motion)
+    if motion.forward:
+        return ForwardComparison(robot, motion)
+    return InverseComparison(robot, motion)
 
 
 def _places(effect: RobotEffect, robot: Robot, motion: Motion) -> tuple[str, ...]:
