@@ -148,10 +148,13 @@ def huge_values(label: str, values: Array, names: RowNames) -> Iterator[Finding]
     """Where a channel (R,) has a number that is none of a measurement, as a broken message has."""
     huge = np.abs(np.nan_to_num(values)) > _MOST
     if huge.any():
+        remedy = "leave these rows out"
+        if names.of_bag:
+            remedy = "see what their publisher sends, and record again"
         yield refuse(
             "huge",
             f"{label} is {values[huge][0]:.3g} in {names.of(huge)}; no reading is beyond "
-            f"{_MOST:g}: leave these out",
+            f"{_MOST:g}: {remedy}",
         )
 
 

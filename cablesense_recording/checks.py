@@ -103,6 +103,9 @@ def _shapes(recording: Recording, layout: Layout) -> Iterator[Finding]:
 
 
 def _numbers(recording: Recording, layout: Layout) -> Iterator[Finding]:
+    remedy = "leave out rows that lack one"
+    if recording.row_names.of_bag:
+        remedy = "see what their publisher sends, and record again"
     joints = layout.command_columns
     cables = layout.reading_columns
     numbers = [recording.time_s, recording.command_rad, recording.load_n, recording.tensions_n]
@@ -111,8 +114,8 @@ def _numbers(recording: Recording, layout: Layout) -> Iterator[Finding]:
         if (wrong := ~np.isfinite(values)).any():
             yield refuse(
                 "numbers",
-                f"{name} is empty or not finite in {recording.where(wrong)}; every cell must be a "
-                "number: leave out rows that lack one",
+                f"{name} is empty or not finite in {recording.where(wrong)}; each must have a "
+                f"number: {remedy}",
             )
         elif name != TIME:
             yield from huge_values(name, values, recording.row_names)

@@ -238,11 +238,11 @@ def one_clock(
         return stamp_ns, ""
     stated_steps_ns = np.diff(stamp_ns[~missing])
     if (stated_steps_ns <= 0).any():
+        back_s = -1e-9 * float(stated_steps_ns.min())
         raise RecordingError(
-            f"{path}: stamps are missing in {int(missing.sum())} of {len(stamp_ns)} messages, and "
-            f"the others run back by up to {-1e-9 * float(stated_steps_ns.min()):.6g} s, so "
-            "nothing says in which order they were read; see whether two nodes publish them, and "
-            "record again"
+            f"{path}: {int(missing.sum())} of {len(stamp_ns)} messages have no stamp, and by "
+            f"those of the others time_s runs back by up to {back_s:.6g} s, so nothing says "
+            "in which order they were read; see whether two nodes publish them, and record again"
         )
     if missing.all():
         return arrival_ns, ""

@@ -115,6 +115,8 @@ DEFECTS = {
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defect_is_named(tmp_path, defect, write):
     change, refused, noted = DEFECTS[defect]
+    if refused is not None and write is as_bag:
+        refused = re.sub(r"\brow(s?) ([\d to]+\d)", r"message\1 \2 of the readings", refused)
     path = write(tmp_path / "run", change(sound()))
     if refused is not None:
         with pytest.raises(RecordingError, match=refused) as said:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from pathlib import Path
 
@@ -104,23 +105,25 @@ READERS = {
 def test_a_defect_of_any_size_is_named_or_harmless(tables, robot, kind, reader):
     machine, write, said_of = READERS[reader]
     sound = numbers_of(tables[machine])
+    word = "message" if reader == "arm's bag" else "row"
 
     @EXAMPLES
     @given(seed=SEEDS)
     def named_or_harmless(seed):
         defect = DEFECTS[kind](tables[machine], np.random.default_rng(seed))
+        names = [re.sub(r"^row", word, name) for name in defect.names]
         with tempfile.TemporaryDirectory() as place:
             path = write(Path(place) / "run", defect.table)
             try:
                 said, said_by_model, numbers = said_of(path, robot)
                 harmless = bool((nearest(numbers, sound) < 1e-4).all())
-                if not harmless and not any(name in said for name in defect.names):
+                if not harmless and not any(name in said for name in names):
                     said = f"{said} {said_by_model()}"
             except RecordingError as error:
                 said = str(error)
                 harmless = False
                 assert "\n" not in said
-        assert harmless or any(name in said for name in defect.names), (seed, said)
+        assert harmless or any(name in said for name in names), (seed, said)
 
     named_or_harmless()
 

@@ -34,6 +34,6 @@ def test_stamps_that_are_missing_and_run_back_say_by_how_much_the_stated_ones_do
     stamp_ns[6] -= 3 * 10**8
     stamp_ns[list(missing)] = 0
     arrival_ns = 5_000 + 10**8 * np.arange(8)
-    said = f"a.mcap: stamps are missing in {len(missing)} of 8 messages, and the others run back"
-    with pytest.raises(RecordingError, match=f"{said} by up to 0.2 s"):
+    said = f"a.mcap: {len(missing)} of 8 messages have no stamp, and .* time_s runs back by up to"
+    with pytest.raises(RecordingError, match=f"{said} 0.2 s"):
         one_clock(Path("a.mcap"), arrival_ns, stamp_ns)
