@@ -37,7 +37,7 @@ from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
 from cablesense_plants.arm.listed import LISTED
 from cablesense_plants.cases import NONE, UNKNOWN, different, in_turn
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 from cablesense_sim.arm import find_arm, load_arm, open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -30,7 +30,7 @@ from robot_sets import KINDS
 
 from cablesense_gap.robot.friction_forms import FRICTION, LAWS
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import FrictionForm, Verdict
 from cablesense_plants.robot import friction
@@ -108,7 +108,7 @@ def _outcome(case: RobotCase, folder: Path) -> dict[str, Any]:
 def _judged(case: RobotCase, folder: Path) -> dict[str, Any]:
     robot = load_robot(case.kind.path)
     began = time.monotonic()
-    verdict = diagnose(read_recording(_path(case, folder), robot), robot).verdict
+    verdict = diagnose(read_robot_recording(_path(case, folder), robot), robot).verdict
     seconds = time.monotonic() - began
     joint = case.answer.where
     form = verdict.forms.get(joint)

@@ -30,12 +30,16 @@ from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model
 from cablesense_online.can.bus import FaultLedger
-from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map
+from cablesense_online.can.channel_map import (
+    load_sensor_scales,
+    open_channel_map,
+    with_sensor_scales,
+)
 from cablesense_online.can.reader import FrameDecoder
 from cablesense_online.contacts import ContactFinder, Situation
 from cablesense_online.models import LoadedModel
 from cablesense_online.tare import UnloadedArm, with_reading
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.data.generation import draw_dataset
@@ -153,7 +157,8 @@ def _use_map(path: Path) -> None:
 
 
 def _use_calibration(path: Path) -> None:
-    channel_map = calibrated(*open_channel_map(MAPS[0]), load_calibration(path), str(path))
+    scales = load_sensor_scales(path)
+    channel_map = with_sensor_scales(*open_channel_map(MAPS[0]), scales, str(path))
     numbers = [
         (channel.scale_n_per_unit, channel.zero) for channel in channel_map.channels.values()
     ]

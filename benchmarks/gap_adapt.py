@@ -32,8 +32,8 @@ from cablesense_gap.scoring import proportion
 from cablesense_plants.arm.blind_cases import draw_several, make_case
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
-from cablesense_recording.checks import read_recording
 from cablesense_recording.csv_file import write_csv
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import Recording
 from cablesense_sim.arm import find_arm, open_arm
 from cablesense_training.law.build import TorchLaw

@@ -53,7 +53,8 @@ from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.tare import TareError, with_reading
 from cablesense_plants.arm.blind_cases import ArmAnswer, draw_kinds, draw_several, record_cases
 from cablesense_plants.arm.body import read_nominal
-from cablesense_recording.checks import check_recording, read_recording
+from cablesense_recording.checks import check_recording
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import EXCHANGED, RecordingError, rows_to_use
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.replay import replay_arm

@@ -27,7 +27,7 @@ from cablesense_gap.diagnosis.probability import Fits, ProbabilityCalibration, l
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.system import problem_of
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 
 ARM = "cdsm_lab"
 TARGET = Path(probability.__file__).with_name("calibration.json")

@@ -29,7 +29,7 @@ from robot_sets import KINDS
 
 from cablesense_gap.arm_system import diagnose as diagnose_arm
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording as read_robot_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose as diagnose_robot
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, write_verdict
 from cablesense_plants.arm.blind_cases import ArmAnswer, record_cases
@@ -39,7 +39,7 @@ from cablesense_plants.arm.unlisted import UNLISTED as UNLISTED_OF_ARMS
 from cablesense_plants.cases import in_turn
 from cablesense_plants.robot.cases import RobotAnswer, draw_case, record
 from cablesense_plants.robot.causes import LISTED, UNLISTED
-from cablesense_recording.checks import read_recording as read_arm_recording
+from cablesense_recording.reading import read_recording as read_arm_recording
 from cablesense_sim.arm import find_arm
 
 _ARM = "cdsm_lab"

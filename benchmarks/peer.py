@@ -34,7 +34,7 @@ from robot_sets import drawn
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion, rms
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment
 from cablesense_gap.verdict import NONE
@@ -116,8 +116,8 @@ def _planted(case: RobotCase, folder: Path) -> dict[str, Any]:
     record([case], folder)
     name = f"{case.answer.recording}.csv.gz"
     robot = load_robot(case.kind.path)
-    seen = read_recording(folder / name, robot)
-    unseen = read_recording(folder / "second" / name, robot)
+    seen = read_robot_recording(folder / name, robot)
+    unseen = read_robot_recording(folder / "second" / name, robot)
     model_file = folder / f"{case.answer.recording}_sysid.xml"
     compared = _fitted_by_both(seen, robot, model_file)
     compared_hz = compared.diagnosis.system.motion.compared_hz

@@ -40,7 +40,7 @@ import pandas as pd
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment
 from cablesense_gap.verdict import Verdict
@@ -153,7 +153,7 @@ def _recording(tables: Sequence[pd.DataFrame], robot: Robot) -> RobotRecording:
     with tempfile.TemporaryDirectory() as folder:
         for number, table in enumerate(tables):
             table.to_csv(Path(folder) / f"trial_{number:03d}.csv", index=False)
-        return read_recording(Path(folder), robot)
+        return read_robot_recording(Path(folder), robot)
 
 
 def _stated(verdict: Verdict) -> dict[str, Any]:

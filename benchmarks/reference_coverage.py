@@ -30,7 +30,7 @@ import numpy as np
 from robot_sets import KINDS, with_what_models_lack
 
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import CANNOT_TELL, NONE, Verdict, joined
 from cablesense_plants.robot.cases import RobotAnswer, RobotCase, record, rms
@@ -270,8 +270,8 @@ def _scored(planted: _Planted, folder: Path) -> dict[str, Any]:
     """The verdict on a case, and whether it is right."""
     path = _file(folder, planted, "csv.gz")
     robot = load_robot(planted.case.kind.path)
-    healthy = read_recording(folder / "reference" / path.name, robot)
-    verdict = diagnose(read_recording(path, robot), robot, reference=healthy).verdict
+    healthy = read_robot_recording(folder / "reference" / path.name, robot)
+    verdict = diagnose(read_robot_recording(path, robot), robot, reference=healthy).verdict
     assert verdict.reference is not None
     shares = [channel.share for channel in verdict.reference.coverage.values()]
     named = joined(verdict.effects)

@@ -56,7 +56,7 @@ from robot_sets import (
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import rms
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, removed_fraction
@@ -134,7 +134,7 @@ def _exchanged(count: int, seed: int, folder: Path) -> dict[str, Any]:
     _record(cases, folder, np.inf)
     for k, case in enumerate(cases):
         robot = load_robot(case.kind.path)
-        recording = read_recording(_place(folder, case, "csv.gz"), robot)
+        recording = read_robot_recording(_place(folder, case, "csv.gz"), robot)
         wrong, text = _wrong_column(recording, robot, k, rng)
         began = time.monotonic()
         said = ""
@@ -177,7 +177,7 @@ def _payloads(count: int, seed: int, folder: Path) -> dict[str, Any]:
             record([case], folder)
             robot = load_robot(case.kind.path)
             body = case.answer.where
-            recording = read_recording(_place(folder, case, "csv.gz"), robot)
+            recording = read_robot_recording(_place(folder, case, "csv.gz"), robot)
             mass_kg = json.loads(case.answer.sizes)[0]["size"]
         verdict = diagnose(recording, robot).verdict
         effect = "+".join(verdict.effects)
@@ -243,7 +243,7 @@ def _diagnosed(
     robot = load_robot(servo_file(case.kind, folder) if external else case.kind.path)
 
     def read(path: Path) -> RobotRecording:
-        recording = read_recording(path, robot)
+        recording = read_robot_recording(path, robot)
         unread = np.full_like(recording.torque, np.nan)
         return recording if torques else replace(recording, torque=unread)
 
@@ -268,7 +268,7 @@ def _long_s(case: RobotCase, folder: Path) -> float:
         pd.DataFrame(long).to_csv(path, index=False)
         began = time.monotonic()
         robot = load_robot(case.kind.path)
-        diagnose(read_recording(path, robot), robot)
+        diagnose(read_robot_recording(path, robot), robot)
     return round(time.monotonic() - began, 1)
 
 

@@ -53,7 +53,7 @@ from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording as read_robot_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem
 from cablesense_gap.scoring import Truth, read_answers
 from cablesense_gap.simulator import Assignment, Simulator
@@ -65,7 +65,7 @@ from cablesense_plants.arm.listed import LISTED
 from cablesense_plants.cases import in_turn, write_answers
 from cablesense_plants.robot.cases import draw_case, record
 from cablesense_plants.robot.causes import LISTED as ROBOT_LISTED
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import rows_to_use
 from cablesense_sim.arm import find_arm
 

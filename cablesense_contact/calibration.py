@@ -22,7 +22,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.chi_squared import IMPROBABLE, limit_at, probability_above
-from cablesense_contact.felt import FeltMachine, still
+from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 
@@ -52,8 +52,8 @@ class Unloaded:
     """The mean of some readings of the untouched arm at one command.
 
     Attributes:
-        reading_n: (M,) their mean.
-        command_rad: (2N,).
+        reading_n: (M,) their mean, in the channels' units: N, of joints' torques N·m.
+        command_rad: (2N,); of a machine (C,), rad or m as of `FeltMachine.command_names`.
         count: how many readings.
         taken_ns: time of the last one since the epoch.
         came_from_rad: (2N,) another command from which the unloaded arm came straight to this one,
@@ -148,7 +148,7 @@ class Calibrator:
         self._carried = machine.carried_friction
         self._is_carried = np.zeros(len(self.parameters), dtype=bool)
         self._is_carried[self._carried] = True
-        self._unrest = still(machine)
+        self._covariance_at_rest = torque_covariance_at_rest(machine)
 
     def by_tolerances(self) -> Calibration:
         """What the arm file alone says."""
@@ -316,7 +316,7 @@ class Calibrator:
                 np.array([unloaded[row].command_rad for row in rows]),
                 beliefs[one].mean,
                 beliefs[one].covariance,
-                self._unrest,
+                self._covariance_at_rest,
             )
             for place, row in enumerate(rows):
                 slopes[row] = seen.by_parameter[place]

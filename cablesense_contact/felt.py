@@ -137,7 +137,11 @@ class FeltMachine(Protocol):
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """(C,) names in the messages of commands, or of measured joints."""
+        """(C,) names in the messages of commands, or of measured joints.
+
+        Angles of hinges are in rad, places of slides and lengths of tendons in m. Whatever is
+        called `command_rad` of a machine has these units.
+        """
         ...
 
     @property
@@ -182,7 +186,7 @@ class FeltMachine(Protocol):
 
     @property
     def zeros(self) -> NDArray[np.int64]:
-        """(M,) numbers of the parameters that are the channels' zeros."""
+        """(M,) numbers, among the P parameters, of what each channel reads without a load."""
         ...
 
     @property
@@ -275,7 +279,7 @@ def alike(
         yield rounded, np.array(rows[key], dtype=np.int64)
 
 
-def still(machine: FeltMachine) -> Array:
-    """(T, T) covariance of torques of a machine at rest."""
+def torque_covariance_at_rest(machine: FeltMachine) -> Array:
+    """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest: zero."""
     count = len(machine.torque_names)
     return np.zeros((count, count))

@@ -23,6 +23,8 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
 
+# Who changes a prior or a limit here measures `benchmarks/built_arms.py` and `benchmarks/trust.py`
+# with fresh seeds before and after: docs/development.md, "A prior or a limit of the estimate".
 LOG_PRIOR_WRENCH = math.log(0.01)
 """Of several contacts or a couple on one segment, against a single contact."""
 LOG_PRIOR_SEVERAL = math.log(0.01)

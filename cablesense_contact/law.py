@@ -34,8 +34,10 @@ class LawOutput(NamedTuple):
         contact_covariance: (B, 4, 4) of place, m, and force, N.
         magnitude_ci95_n: (B, 2) interval of the lateral force; of a machine's, on whichever link.
         moment_n_m, moment_std_n_m: (B, 2) about the joint centre, around y and z.
-        fault_n: (B, M) what each channel reads too much if nothing touches and it is wrong.
-        innovation_n: (B, M) reading minus that of the untouched arm.
+        fault_n: (B, M) what each channel reads too much if nothing touches and it is wrong, in
+            the channel's unit, N or N·m.
+        innovation_n: (B, M) reading minus that of the untouched arm, in the channels' units; of a
+            machine whose joints are measured, torques of its joints.
         information_n2: (B, M, M) inverse covariance of innovations.
         by_parameter: (B, M, P) derivative of readings by the parameters.
         by_torque: (B, M, 2N) derivative of readings by contact torques.

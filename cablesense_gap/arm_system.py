@@ -33,7 +33,6 @@ from cablesense_recording.recording import (
     refuse_unusable,
     returns,
     rows_along_path,
-    rows_named,
     rows_to_use,
     warn,
 )
@@ -359,9 +358,9 @@ def _checked_system(
     refuse_unusable(recording, findings, force=force)
     if unsupported.any():
         text = (
-            f"{rows_named(unsupported)}: {arm.name} as its file describes it finds no rest under "
-            "the recorded loads, though the real arm did; left out. Check the scale of the loads, "
-            "or load the arm less"
+            f"{recording.where(unsupported)}: {arm.name} as its file describes it finds no rest "
+            "under the recorded loads, though the real arm did; left out. Check the scale of the "
+            "loads, or load the arm less"
         )
         findings.append(warn("unborne", text))
     return system, findings

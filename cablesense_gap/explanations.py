@@ -100,8 +100,8 @@ class Explanations:
     changes: Changes
 
 
-class _Explanation(NamedTuple):
-    """A set of effects, alone or beside something unlisted.
+class _Weighed(NamedTuple):
+    """A set of effects, alone or beside something unlisted, with its weight among all.
 
     Attributes:
         log_weight: natural logarithm of its probability but for a common constant.
@@ -160,18 +160,18 @@ def _leaves_more(
 
 def _alone(
     problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
-) -> list[_Explanation]:
+) -> list[_Weighed]:
     """Without anything unlisted."""
     weights = log_weights_alone(hypotheses, problem.floor, calibration)
     return [
-        _Explanation(float(weight), h, h, None, problem)
+        _Weighed(float(weight), h, h, None, problem)
         for weight, h in zip(weights, hypotheses, strict=True)
     ]
 
 
 def _everywhere(
     problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
-) -> list[_Explanation]:
+) -> list[_Weighed]:
     """Beside something unlisted that acts in all readings."""
     extent = Extent.whole(problem)
     unlisted_rmse = np.array([h.held_out_rmse for h in hypotheses])
@@ -184,7 +184,7 @@ def _everywhere(
         calibration,
     )
     return [
-        _Explanation(float(weight), h, h, extent, problem)
+        _Weighed(float(weight), h, h, extent, problem)
         for weight, h in zip(weights, hypotheses, strict=True)
     ]
 
@@ -194,11 +194,11 @@ def _in_extents(
     problem: Problem,
     hypotheses: Sequence[Hypothesis],
     calibration: ProbabilityCalibration,
-) -> list[_Explanation]:
+) -> list[_Weighed]:
     """Beside something unlisted that acts in some channels or trials."""
     screened = screened_extents(problem, system.channel_groupings())
     promising = sorted(screened, key=lambda each: -_forecast(problem, each, calibration))
-    weighed: list[_Explanation] = []
+    weighed: list[_Weighed] = []
     for each in promising[:_MOST_EXTENTS]:
         extent = each.extent
         others = without_extent(problem, extent)
@@ -215,7 +215,7 @@ def _in_extents(
             calibration,
         )
         weighed.extend(
-            _Explanation(float(weight), one, over_all, extent, others)
+            _Weighed(float(weight), one, over_all, extent, others)
             for weight, one, over_all in zip(weights, fitted, whole, strict=True)
         )
     return weighed
@@ -241,7 +241,7 @@ def _forecast(problem: Problem, screened: Screened, calibration: ProbabilityCali
     return float(weights.max())
 
 
-def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
+def _merged(weighed: Sequence[_Weighed], floor: float) -> list[Ranked]:
     """Each set of effects with its probability, in the order of `in_order`."""
     probabilities = _probabilities(weighed)
     total: dict[tuple[str, ...], float] = {}
@@ -258,19 +258,19 @@ def _merged(weighed: Sequence[_Explanation], floor: float) -> list[Ranked]:
     return in_order(ranked, floor)
 
 
-def _likeliest(weighed: Sequence[_Explanation], name: tuple[str, ...]) -> _Explanation:
+def _likeliest(weighed: Sequence[_Weighed], name: tuple[str, ...]) -> _Weighed:
     """The most probable explanation by a set."""
     return max((each for each in weighed if each.name == name), key=lambda each: each.log_weight)
 
 
-def _probabilities(weighed: Sequence[_Explanation]) -> list[float]:
+def _probabilities(weighed: Sequence[_Weighed]) -> list[float]:
     log_weights = np.array([each.log_weight for each in weighed])
     shares = np.exp(log_weights - log_weights.max())
     return [float(share) for share in shares / shares.sum()]
 
 
 def _answer(
-    weighed: Sequence[_Explanation], ranked: Sequence[Ranked], best: _Explanation, changes: Changes
+    weighed: Sequence[_Weighed], ranked: Sequence[Ranked], best: _Weighed, changes: Changes
 ) -> Explanations:
     pairs = zip(weighed, _probabilities(weighed), strict=True)
     unlisted = sum(probability for each, probability in pairs if each.extent is not None)

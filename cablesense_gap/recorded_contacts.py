@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
-from cablesense_contact.felt import FeltMachine, alike, still
+from cablesense_contact.felt import FeltMachine, alike, torque_covariance_at_rest
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.inference.estimator import Estimator
 from cablesense_contact.judgement import ContactState, Judge
@@ -373,7 +373,7 @@ class RecordedMachine:
         if calibration is None:
             poses = unloaded_poses(recording, trials)
             self._by_poses = self._calibrator.moved(self._calibrator.from_poses(poses))
-        self._still = still(self._machine)
+        self._covariance_at_rest = torque_covariance_at_rest(self._machine)
 
     def answers(self, rows: Rows) -> tuple[ContactAnswer, Rows, Array]:
         """Answers on rows (R,) with a tare, which of them are vouched for, and poses (B, T).
@@ -459,7 +459,7 @@ class RecordedMachine:
                         recording.command_rad[chosen],
                         belief.mean,
                         belief.covariance,
-                        self._still,
+                        self._covariance_at_rest,
                     ),
                 )
 

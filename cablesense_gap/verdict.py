@@ -93,6 +93,8 @@ class FittedNumber(FilePart):
 class Share(FilePart):
     """The contribution of one named effect.
 
+    Sizes are in the verdict's `unit`: N of an arm, floors of a robot.
+
     Attributes:
         share_n: RMS by which predictions change without it, all else as fitted.
         ci95_n: interval of `share_n`.
@@ -113,6 +115,8 @@ class Share(FilePart):
 class Traded(FilePart):
     """Two of the effects, whose sum the recording determines better than either: one item.
 
+    Sizes are in the verdict's `unit`, as of `Share`.
+
     Attributes:
         share_n: RMS by which predictions change without both.
         ci95_n: interval of `share_n`.
@@ -128,6 +132,8 @@ class Traded(FilePart):
 
 class Gap(FilePart):
     """How far the gap shrinks on trials that the fit has not seen; sizes are RMS over readings.
+
+    What ends with `_n` is in the verdict's `unit`: N of an arm, floors of a robot.
 
     Attributes:
         before_n: gap of the nominal arm.

@@ -41,13 +41,14 @@ ROBOT_DESCRIPTION: Final = "robot_description"
 DIAGNOSTICS: Final = "/diagnostics"
 """`diagnostic_msgs/DiagnosticArray`: from every node, 1 Hz."""
 CONTACT_POINT: Final = "~/contact_point"
-"""`geometry_msgs/PointStamped`: the contact, in frame `segment_N`; only during a contact."""
+"""`geometry_msgs/PointStamped`: where the contact is along the segment, as a point on its axis, in
+frame `segment_N`; only during a contact."""
 CONTACT_REGION: Final = "~/contact_region"
 """`geometry_msgs/PolygonStamped`: two points on the segment's axis, in frame `segment_N`, the ends
 of the place's 95 % interval; only during a contact."""
 CONTACT_POSE: Final = "~/contact_pose"
-"""`geometry_msgs/PoseWithCovarianceStamped`: the contact in the base frame, its x axis along the
-normal force, its z axis along the segment; only during a contact."""
+"""`geometry_msgs/PoseWithCovarianceStamped`: the same point in the base frame, the x axis along
+the normal force, the z axis along the segment; only during a contact."""
 CONTACT_COVARIANCE: Final = "~/contact_covariance"
 """`std_msgs/Float64MultiArray`: 4 x 4 by rows, of the place on the segment's axis, m, and the
 force along the segment's axes, N; without a stamp, after the sample's wrench; only during a

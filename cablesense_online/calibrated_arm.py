@@ -15,7 +15,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
-from cablesense_contact.felt import FeltMachine, SlidesUnderLoad, still
+from cablesense_contact.felt import FeltMachine, SlidesUnderLoad, torque_covariance_at_rest
 from cablesense_contact.judgement import Judge
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
@@ -61,7 +61,7 @@ class CalibratedState(UnloadedState[Calibration]):
     """The calibration in force, as `known_by`, and what has moved the cables.
 
     Attributes:
-        way: of the commands.
+        way: how the arm came to the present command, which says where its cables have slid.
         untouched: readings at the present pose.
         under_load: what readings since have said of slides; None before they count.
         remembered: the belief at the last sample, which is mostly that of the next.
@@ -105,7 +105,7 @@ class CalibratedArm:
         self._channels = machine.channels
         self._judge = Judge(machine)
         self._slides = machine.slides
-        self._still = still(machine)
+        self._covariance_at_rest = torque_covariance_at_rest(machine)
 
     def begin(self, calibration: Calibration | None = None) -> CalibratedState:
         """The arm as well known as a calibration says, or as its tolerances."""
@@ -282,7 +282,7 @@ class CalibratedArm:
             unloaded.command_rad[None],
             present.mean,
             present.covariance,
-            self._still,
+            self._covariance_at_rest,
         )
         try:
             updated = self.calibrator.updated(calibration, unloaded, force=forced)

@@ -13,7 +13,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import MODEL_STD_N, Calibration, Calibrator
-from cablesense_contact.felt import still
+from cablesense_contact.felt import torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_online.movable import TAUT_SHARE, Movable, taut
 
@@ -85,7 +85,7 @@ class _Design:
         self._law = law
         self._prior = prior
         self._movable = movable
-        self._unrest = still(felt)
+        self._covariance_at_rest = torque_covariance_at_rest(felt)
         self._carried = np.zeros(len(prior.mean), dtype=bool)
         self._carried[felt.carried_friction] = True
         self._carried_variance = np.diagonal(prior.covariance)[self._carried]
@@ -102,7 +102,7 @@ class _Design:
     def seen_from(self, candidates: Array) -> tuple[Array, Array]:
         """Slopes (K, M, L) by lasting parameters, and noise (K, M, M), of unloaded readings."""
         reading_n = self._movable.predicted_n(candidates, self._prior)
-        belief = (self._prior.mean, self._prior.covariance, self._unrest)
+        belief = (self._prior.mean, self._prior.covariance, self._covariance_at_rest)
         slopes = self._law(reading_n, candidates, *belief).by_parameter
         return self._parted(slopes, self._mean_variance_n2)
 

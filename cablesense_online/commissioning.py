@@ -22,7 +22,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
-from cablesense_contact.felt import still
+from cablesense_contact.felt import torque_covariance_at_rest
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.reference_contacts import KnownForce
@@ -235,7 +235,7 @@ class Commissioning:
         self._calibrator = Calibrator(felt, law)
         self._judge = Judge(felt, _TOUCHED_PROBABILITY)
         self._contacts = movable.reference_contacts()
-        self._unrest = still(felt)
+        self._covariance_at_rest = torque_covariance_at_rest(felt)
         self._unsteady_n = _UNSTEADY_STD * np.sqrt(felt.mean_variance(1))
         self._left = visits(movable, poses_rad, self._settings)
         self._holds = len(self._left)
@@ -398,7 +398,7 @@ class Commissioning:
             self._hold.pose_rad[None],
             self._present.mean,
             self._present.covariance,
-            self._unrest,
+            self._covariance_at_rest,
         )
 
     def _moves(self, reading_n: Array) -> bool:

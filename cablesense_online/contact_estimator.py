@@ -344,7 +344,9 @@ class ContactEstimator:
                 ) from None
         return replace(state, unloaded=undone)
 
-    def calibrated(self, state: EstimationState, calibration: Calibration) -> EstimationState:
+    def with_calibration(
+        self, state: EstimationState, calibration: Calibration
+    ) -> EstimationState:
         """With another calibration.
 
         Raises:

@@ -14,7 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, ContactPlace, Estimate
-from cablesense_contact.felt import FeltMachine, still
+from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
@@ -40,7 +40,7 @@ _STATES = {
 
 @dataclass(frozen=True)
 class Situation:
-    """What a reading is answered in.
+    """What beside a reading decides how it is answered: pose, time, motion, and friction.
 
     Attributes:
         pose_rad: (2N,) where the joints are commanded.
@@ -122,7 +122,7 @@ class LawContacts:
         self._judge = Judge(machine, contact_threshold)
         self._middle_m = machine.middle_m
         self._joint_m = machine.joint_m
-        self._still = still(machine)
+        self._covariance_at_rest = torque_covariance_at_rest(machine)
 
     def with_threshold(self, contact_threshold: float) -> LawContacts:
         """The same with another probability from which on a contact is stated."""
@@ -133,7 +133,13 @@ class LawContacts:
     def find(
         self, state: CalibratedState, reading_n: Array, situation: Situation
     ) -> tuple[CalibratedState, FoundContacts | None]:
-        """The contacts in a reading (M,), N, and the state after it; None while untared."""
+        """The contacts in a reading (M,), N, and the state after it; None while untared.
+
+        Where the arm has not been seen untouched at this pose, the law is asked twice: first as if
+        the arm came here untouched, so that its cables have slid as that motion makes them. If
+        that shows a contact, the arm may have been touched on its way, and its cables may have
+        slid anyhow; the second answer, which allows for that, is the one that counts.
+        """
         if not state.known:
             return state, None
         state, seen = self._seen(state, reading_n, situation)
@@ -183,7 +189,7 @@ class LawContacts:
     def _torques_of(self, unrest: Unrest | None) -> Array:
         """(T, T) covariance of the torques of a motion."""
         if unrest is None:
-            return self._still
+            return self._covariance_at_rest
         return self._machine.unrest(unrest.speed_rad_s, unrest.swing_rad_s2)
 
     def _unseen_n(self, seen: LawOutput) -> float:

@@ -171,7 +171,7 @@ class Estimation:
         Raises:
             TareError: the model is a network, which takes none.
         """
-        self.state = self.estimator.calibrated(self.state, calibration)
+        self.state = self.estimator.with_calibration(self.state, calibration)
 
     def restore(self, calibration: Calibration, command_rad: Array, *, known: bool) -> None:
         """Answer as a recorded estimator from the moment that it used a calibration.

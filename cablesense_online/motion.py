@@ -42,7 +42,7 @@ class CommandedMotion:
     """What is known of the arm's motion at the last sample, and of the commands since.
 
     Attributes:
-        command_rad: (2N,) the command in force.
+        command_rad: (2N,) the command in force; of a machine (C,), rad or m, as all `_rad` here.
         pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
         course: the set-points.
         last_ns: stamp of the last sample.
@@ -126,7 +126,7 @@ class MotionGate:
         How fast actuators reach a length is not known: they are taken to be there at once.
         """
         self._settings = settings
-        self._still = settings.still_rad * per_radian
+        self._still_within = settings.still_rad * per_radian
         self._follow_s = settings.follow_rad_s * per_radian
         self._pose_step = _POSE_STEP_RAD * per_radian
         self._settle_ns = settings.settle_s * 1e9
@@ -160,7 +160,7 @@ class MotionGate:
     def follows(self, motion: CommandedMotion, command_rad: Array) -> bool:
         """Whether a command (2N,) would be followed with the gate as it is."""
         off_rad = float(np.abs(command_rad - motion.pose_rad).max())
-        if off_rad <= self._still and not motion.shut:
+        if off_rad <= self._still_within and not motion.shut:
             return True
         if not self._follow_s:
             return False
@@ -176,22 +176,26 @@ class MotionGate:
     ) -> CommandedMotion:
         """The motion at the next sample's stamp.
 
-        The sample comes at `now_ns` of the clock that sets stamps, at monotonic time `now_s`.
+        The sample is of `stamp_ns` and comes at `now_ns`, both of the clock that sets stamps. It
+        comes at `now_s` of the monotonic clock, by which a wait is timed whatever the stamps do.
+        The set-points have a time of their own, from where they began to move.
         """
         if self._rests(motion, stamp_ns):
             return replace(motion, last_ns=stamp_ns, stepped=0)
-        first = motion.last_ns == LONG_AGO_NS
-        motion = _with_stamp(motion, stamp_ns)
-        if motion.course.moving:
-            elapsed_s = max(0, stamp_ns - motion.course_from_ns) * 1e-9
-            motion = self._swinging_on(replace(motion, course=motion.course.at(elapsed_s)))
-        if motion.heading:
-            motion = self._headed(motion)
-        if motion.heading or first:
-            sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
-            motion = self._waiting_for_course(motion, sampled_s, first=first)
-        motion = _held_shut(motion, now_s)
-        return motion if motion.shut else self._at_pose(motion)
+        is_first = motion.last_ns == LONG_AGO_NS
+        stamped = _with_stamp(motion, stamp_ns)
+        moved = stamped
+        if stamped.course.moving:
+            on_course_s = max(0, stamp_ns - stamped.course_from_ns) * 1e-9
+            moved = self._swinging_on(replace(stamped, course=stamped.course.at(on_course_s)))
+        headed = self._headed(moved) if moved.heading else moved
+        waiting = headed
+        if headed.heading or is_first:
+            sample_age_s = max(0, now_ns - stamp_ns) * 1e-9
+            sampled_s = now_s - sample_age_s
+            waiting = self._waiting_for_course(headed, sampled_s, first=is_first)
+        timed = _held_shut(waiting, now_s)
+        return timed if timed.shut else self._at_pose(timed)
 
     def turning(self, motion: CommandedMotion) -> bool:
         """Whether the joints have turned within the time in which the arm settles."""
@@ -223,7 +227,7 @@ class MotionGate:
         turn_rad = float(np.abs(motion.command_rad - motion.course.angle_rad).max())
         course = motion.course.towards(motion.command_rad)
         turned_ns = motion.turned_ns
-        if turn_rad > self._still:
+        if turn_rad > self._still_within:
             turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
         return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
 
@@ -254,7 +258,7 @@ class MotionGate:
         """At the pose of the estimates that follows from the set-points."""
         angles_rad = motion.course.angle_rad if motion.course.moving else motion.command_rad
         off_rad = float(np.abs(angles_rad - motion.pose_rad).max())
-        follows = self._follow_s or off_rad > self._still
+        follows = self._follow_s or off_rad > self._still_within
         far = off_rad > self._pose_step or (off_rad and not motion.course.moving)
         return replace(motion, pose_rad=angles_rad) if follows and far else motion
 

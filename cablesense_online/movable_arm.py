@@ -6,7 +6,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
-from cablesense_contact.felt import still
+from cablesense_contact.felt import torque_covariance_at_rest
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import ReferenceContacts
@@ -57,7 +57,7 @@ class MovableArm:
     def predicted_n(self, commands: Array, calibration: Calibration) -> Array:
         """Readings (K, M) without a load at commands (K, 2N); of nearly slack cables too high."""
         reading_n = np.tile(self._start_n, (len(commands), 1))
-        belief = (calibration.mean, calibration.covariance, still(self.felt))
+        belief = (calibration.mean, calibration.covariance, torque_covariance_at_rest(self.felt))
         for _ in range(_PREDICTION_STEPS):
             change_n = -self._law(reading_n, commands, *belief).innovation_n
             # kept taut: where a cable is slack the law may not be solvable

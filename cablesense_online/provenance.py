@@ -20,7 +20,7 @@ class Beginning:
     Attributes:
         from_ns: time since the epoch.
         after_ns: stamp of the last sample that was answered by the calibration before; 0 if none.
-        command_rad: (2N,) the command in force.
+        command_rad: (2N,) the command in force; of a machine (C,), rad or m.
         known: whether the unloaded state is known: by a tare, or by a calibration.
     """
 

@@ -29,12 +29,7 @@ from scipy.stats import t as student_t
 from cablesense_base import Array
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import Count, FilePart, Number, describe_problem
-from cablesense_online.can.channel_map import (
-    CalibratedSensor,
-    Channel,
-    ChannelMap,
-    signal_conversion,
-)
+from cablesense_online.can.channel_map import Channel, ChannelMap, ScaledSensor, signal_conversion
 from cablesense_online.sensor_check import CommissioningError
 from cablesense_recording.recording import Recording
 
@@ -170,7 +165,7 @@ def calibrate_sensor(
     force_n: Array,
     raw: Array,
     common_relative_u: float = 0.0,
-) -> CalibratedSensor:
+) -> ScaledSensor:
     """Scale and zero of a cable's sensor, which `channel` of the DBC file `database` reads.
 
     `force_n` (n,) and `raw` (n,) are in the order in which the loads were applied.
@@ -213,7 +208,7 @@ def calibrate_sensor(
     unit, factor, offset = signal_conversion(database, channel)
     residual_n = (raw - line.intercept - line.slope * force_n) * scale
     nonlinearity_n, hysteresis_n, repeatability_n = characteristics(force_n, residual_n)
-    return CalibratedSensor(
+    return ScaledSensor(
         message=channel.message,
         signal=channel.signal,
         signal_unit=unit,

@@ -13,16 +13,17 @@ class EstimationSettings(BaseModel):
     """How samples are checked, tared, followed in motion, and answered.
 
     Attributes:
-        contact_threshold: probability from which a contact is stated.
+        contact_threshold: probability of a contact from which one is stated, against none.
         stale_after_s: largest age of a sample.
         slack_below_n: a cable is reported as slack below this.
-        tare_samples, tare_steady_n: readings of a tare, and their largest standard deviation.
+        tare_samples, tare_steady_n: readings of a tare, and the largest standard deviation of a
+            channel's, in its unit.
         tare_deviation_n: of networks: largest distance of a tare from the arm file; 0 for any.
         auto_tare: whether the first tare is taken by itself.
         await_breath: whether that waits for a breath.
         joint_speed_rad_s: at which the joints move to a command.
-        settle_s: after which a move has settled.
-        still_rad: commands within this move nothing.
+        settle_s: how long the arm swings after its joints have arrived at a command, s.
+        still_rad: a command within this of the pose moves nothing: its noise, not a move.
         follow_rad_s: a motion up to this speed is followed.
         unknown_force: what is published where no force is known.
         hidden_above_n: a free arm is `hidden` where forces above this might not show.

@@ -78,8 +78,8 @@ class UnloadedState(Generic[Known]):
         known_by: what tares have led to: a calibration, or the tare itself.
         loaded: whether it was known without any tare.
         automatic: whether a tare is to be taken as soon as nothing is against it.
-        pose_rad: (2N,) present pose; None before the first sample.
-        readings: each (M,), N, of the next tare.
+        pose_rad: (2N,) present pose, of a machine (C,), rad or m; None before the first sample.
+        readings: each (M,), of the next tare, in the channels' units.
         tares: those in force, the latest last.
         earlier: what was known before each tare, and before each calibration that was loaded.
     """
@@ -149,7 +149,10 @@ class UnloadedArm(Protocol[State]):
 
 
 def with_reading(state: State, reading_n: Sequence[float], most: int) -> State:
-    """With a reading (M,) in N at the present pose, of the arm at rest; the last `most` count."""
+    """With a reading (M,) at the present pose, of the arm at rest; the last `most` count.
+
+    It is in the channels' units, N or N·m.
+    """
     return replace(state, readings=(*state.readings, reading_n)[-most:])
 
 

@@ -5,9 +5,9 @@
 
     recording = read_recording("recording.mcap", open_arm("cdsm_lab"))
 
-`recording` is one in memory, `csv_file` and `mcap_file` read and write it, and `checks` says what
-is wrong with one. A name is imported when it is first used, so that `import cablesense_recording`
-itself costs nothing.
+`recording` is one in memory, `csv_file` and `mcap_file` read and write it, `reading` takes
+the reader by the file, and `checks` says what is wrong with one. A name is imported when it is
+first used, so that `import cablesense_recording` itself costs nothing.
 """
 
 import lazy_loader

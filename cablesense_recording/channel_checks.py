@@ -1,7 +1,8 @@
 """Checks that hold for the channels of any machine and of any format: clocks and dead channels.
 
-Rows are counted from 1, as people count them in a file; a row of a bag is a message of the topic
-that its readings came from.
+Rows are counted from 1, as people count them in a file. Of a bag the messages of the readings are
+counted, those before the first row too; of a robot's, whose rows may be put together from several
+topics, these rows.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from cablesense_base import Array, some_of
 from cablesense_recording.channels import TIME, Channel
-from cablesense_recording.recording import Finding, refuse, rows_named, warn
+from cablesense_recording.recording import Finding, RowNames, refuse, warn
 
 DEAD = "dead"
 """The kind of the finding that a channel does not follow what it measures."""
@@ -25,59 +26,68 @@ _MOST = 1e9
 _FOREIGN_INTERVALS = 10.0
 """A single stamp that is off by more of the usual intervals is of another clock."""
 _LEAP_INTERVALS = 5.0
+"""Time leaps where rows are farther apart than this many usual intervals, and"""
 _LEAP_S = 0.1
-"""Time leaps where rows are farther apart than both: nothing is known of what lies between."""
+"""than this: nothing is known of what lies between."""
 _MOST_LEAPS = 0.05
+"""Share of rows before which time leaps, above which it is no time that rows were sampled by."""
 _UNEVEN = 3.0
-"""Share of rows before which time leaps, and mean by median interval, from which on time is none
-that rows were sampled by."""
+"""Mean interval by the median one, above which it is none either."""
 _BY_CHANCE = 1e-9
 """Probability below which readings that are equal are no chance."""
 _DEAD_ROWS = 20
+"""Rows in which a dead channel stands still, at the least."""
 _DEAD_SHARE = 0.2
+"""Share of all rows from which on a channel that stands still is dead,"""
 _DOUBTFUL_SHARE = 0.05
-"""Least rows, and shares of all rows, in which a dead channel stands still."""
+"""and from which on it is doubtful."""
 _MOVES = 0.1
 """A joint moves where it goes to and fro by this share of its whole span."""
 _SPIKE_SHARE = 0.05
+"""A single reading is no motion where it is off by this share of the span, and"""
 _SPIKE_STEPS = 5.0
+"""by this many usual steps, and where"""
 _RETURNS = 0.25
-"""A reading that is off by the share of the span and by that many usual steps, and is back in the
-next row but for the last share, is no motion."""
+"""the next row is back but for this share of that."""
 _LEAST_SPIKE = {"rad": 0.01, "m": 0.001}
 """Encoders of joints that rest toggle by less."""
 _MOST_SPIKES = 5
+"""Spikes from which on they are another source's readings."""
 _AROUND = 11
 """Rows around a step whose median is the usual one there."""
 _LEAP_STEPS = 8.0
+"""A step is none of a joint that moves where it is off the steps around it by more than this
+multiple of what is usual there, and"""
 _MOST_TIMES = 3.0
+"""by more than this multiple of what"""
 _MOST_PERCENT = 99.0
+"""this percentage of all steps are off at most, and"""
 _LEAP_SHARE = 0.1
-"""A step is none of a joint that moves where it is off the steps around it by more than these
-multiples of what is usual there and of what nearly all steps are off, and by the share of the
-span."""
+"""by more than this share of the span."""
 _HIT_ROWS = 9
 """About the row where a joint is hit: a parabola that has the hit within it is off, too."""
 _BESIDE = 6
+"""Rows before a step, and rows after it, through which a parabola each is laid. Between them these
+differ by a leap, and by next to nothing where a joint is hit, which turns speeds alone."""
 _LEAST_OFF = 0.005
+"""A leap is more than this share of the span, and"""
 _MOST_OFF = 10.0
+"""more than this multiple of what"""
 _OFF_PERCENT = 90.0
-"""The motion by so many rows before a step, and by those after it, is a parabola each. Between the
-rows they differ by a leap, and by next to nothing where a joint is hit, which turns speeds alone.
-A leap is more than that share of the span, and than a multiple of what the percentage of all
-largest differences of their surroundings are."""
+"""this percentage of the largest differences around it are at most."""
 _LAGS = (2, 3)
+"""Rows so far apart are of one source, where two or three send by turns:"""
 _ALTERNATING = 0.5
-"""Readings of several sources by turns: rows a few apart differ less than this by neighbours."""
+"""they differ by less than this share of what neighbours differ by."""
 
 
 def time_findings(
-    time_s: Array, may_restart: NDArray[np.bool_], first_row: int = 1
+    time_s: Array, may_restart: NDArray[np.bool_], names: RowNames, *, of_bag: bool
 ) -> Iterator[Finding]:
     """Where a clock (R,) stands still, runs back, or gives way to another for one row.
 
-    It may begin anew in rows that `may_restart` (R,) marks. `first_row` is the number of the
-    first.
+    It may begin anew in rows that `may_restart` (R,) marks. In a bag, other than in a file, no row
+    can be moved or left out, so what can be done is to record again.
     """
     steps_s = np.diff(time_s)
     back = np.flatnonzero((steps_s <= 0.0) & ~may_restart[1:])
@@ -88,12 +98,14 @@ def time_findings(
     usual_s = float(np.median(steps_s[steps_s > 0.0])) if (steps_s > 0.0).any() else 0.0
     back_s = -float(steps_s[last])
     if back_s == 0.0:
-        still = np.zeros(len(time_s) + first_row - 1, dtype=bool)
-        still[first_row - 1 + 1 + np.flatnonzero((steps_s == 0.0) & ~may_restart[1:])] = True
+        still = np.append(False, (steps_s == 0.0) & ~may_restart[1:])
+        remedy = "leave out rows that stand twice"
+        if of_bag:
+            remedy = "have each message stamped when it is read, and published once"
         yield refuse(
             "time",
-            f"{TIME} stands still in {rows_named(still)}; each row must be later than the one "
-            "before: leave out rows that stand twice",
+            f"{TIME} stands still in {names.of(still)}; each must be later than the one before: "
+            f"{remedy}",
         )
         return
     alone = back_s > _FOREIGN_INTERVALS * usual_s
@@ -103,28 +115,46 @@ def time_findings(
         foreign = row
     else:
         more = f" (and in {len(back) - 1} more)" if len(back) > 1 else ""
+        remedy = "sort the rows, or part the file where its clock was set"
+        if of_bag:
+            remedy = "see whether two nodes publish them or a clock was set, and record again"
         yield refuse(
             "time",
-            f"{TIME} runs back by {back_s:.6g} s in row {row + first_row}{more}; each row must be "
-            "later than the one before: sort the rows, or part the file where its clock was set",
+            f"{TIME} runs back by {back_s:.6g} s in {names.of(_only(row, time_s))}{more}; each "
+            f"must be later than the one before: {remedy}",
         )
         return
+    remedy = "leave that row out"
+    if of_bag:
+        remedy = "see which node sent it, and record again"
     yield refuse(
         "time",
-        f"{TIME} is {time_s[foreign]:.6g} in row {foreign + first_row}, of another clock than the "
-        f"rows around it, from which it runs back by {back_s:.6g} s; leave that row out",
+        f"{TIME} is {time_s[foreign]:.6g} in {names.of(_only(foreign, time_s))}, of another clock "
+        f"than those around it, from which it runs back by {back_s:.6g} s; {remedy}",
     )
 
 
-def huge_values(label: str, values: Array, first_row: int = 1) -> Iterator[Finding]:
+def _only(row: int, values: Array) -> NDArray[np.bool_]:
+    """(R,) that marks one row."""
+    return np.arange(len(values)) == row
+
+
+def _counted_from(first_row: int, count: int) -> RowNames:
+    """Names of rows of which the first has a number."""
+    return RowNames(first_row + np.arange(count))
+
+
+def huge_values(label: str, values: Array, names: RowNames) -> Iterator[Finding]:
     """Where a channel (R,) has a number that is none of a measurement, as a broken message has."""
     huge = np.abs(np.nan_to_num(values)) > _MOST
     if huge.any():
-        marked = np.append(np.zeros(first_row - 1, dtype=bool), huge)
+        remedy = "leave these rows out"
+        if names.of_bag:
+            remedy = "see what their publisher sends, and record again"
         yield refuse(
             "huge",
-            f"{label} is {values[huge][0]:.3g} in {rows_named(marked)}; no reading is beyond "
-            f"{_MOST:g}: leave these rows out",
+            f"{label} is {values[huge][0]:.3g} in {names.of(huge)}; no reading is beyond "
+            f"{_MOST:g}: {remedy}",
         )
 
 
@@ -159,9 +189,9 @@ def uneven_time(time_s: Array, trial: NDArray[np.int64]) -> Iterator[Finding]:
 def parted_sentence(time_s: Array, leap: NDArray[np.bool_], first_row: int = 1) -> str:
     """What is done where time leaps (R,)."""
     largest_s = float(np.diff(time_s)[leap[1:]].max())
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    named = _counted_from(first_row, len(leap)).of(leap)
     return (
-        f"{TIME} leaps over {largest_s:.3g} s before {rows_named(marked)}: the trial is parted "
+        f"{TIME} leaps over {largest_s:.3g} s before {named}: the trial is parted "
         "there, and nothing is interpolated."
     )
 
@@ -253,16 +283,16 @@ def leaps_and_returns(
     spike &= around < _RETURNS * off
     spike[1:] &= np.diff(trial) == 0
     spike[:-1] &= np.diff(trial) == 0
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), spike)
+    names = _counted_from(first_row, len(spike))
     remedy = "record one publisher on a topic, and see whether the encoder is well"
     if spike.sum() >= _MOST_SPIKES:
         yield refuse(
             "publishers",
-            f"{label} leaps away and back in {rows_named(marked)}: another publisher's readings "
+            f"{label} leaps away and back in {names.of(spike)}: another publisher's readings "
             f"among its own, or an encoder that fails; {remedy}",
         )
     elif spike.any():
-        yield warn("glitch", f"{label} leaps away and back in {rows_named(marked)}")
+        yield warn("glitch", f"{label} leaps away and back in {names.of(spike)}")
     neighbours = np.sqrt((step**2).mean())
     for lag in _LAGS:
         apart = (position[lag:] - position[:-lag])[trial[lag:] == trial[:-lag]]
@@ -347,9 +377,9 @@ def leap_sentence(
     """What is done where positions (R, J) leap (R,)."""
     step = np.abs(np.diff(position, axis=0))[leap[1:]].max(axis=0)
     worst = int((step / np.maximum(np.ptp(position, axis=0), 1e-12)).argmax())
-    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    named = _counted_from(first_row, len(leap)).of(leap)
     return (
-        f"{labels[worst]} leaps by {step[worst]:.3g} before {rows_named(marked)}, as no joint "
+        f"{labels[worst]} leaps by {step[worst]:.3g} before {named}, as no joint "
         "moves: the trial is parted there."
     )
 

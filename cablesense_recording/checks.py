@@ -1,4 +1,4 @@
-"""A recording read by its path, and checked.
+"""Whether a recording can be used.
 
 Its form first: shapes, numbers, time and labels. Then its channels: saturated, stuck or exchanged
 ones, those of another arm.
@@ -6,15 +6,14 @@ ones, those of another arm.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cablesense_base import Array, some_of
+from cablesense_base import Array
 from cablesense_msgs_py.messages import MAX_LOAD_N
 from cablesense_recording.channel_checks import (
     constant_channels,
@@ -23,21 +22,8 @@ from cablesense_recording.channel_checks import (
     time_findings,
 )
 from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME, tension_columns
-from cablesense_recording.column_map import ColumnMap
-from cablesense_recording.csv_file import CSV_ENDINGS, read_csv
 from cablesense_recording.layout import Described, Layout, layout_of
-from cablesense_recording.mapped import read_mapped
-from cablesense_recording.mcap_file import is_bag, read_mcap
-from cablesense_recording.recording import (
-    EXCHANGED,
-    Finding,
-    Recording,
-    RecordingError,
-    refuse,
-    refuse_unusable,
-    rows_named,
-    warn,
-)
+from cablesense_recording.recording import EXCHANGED, Finding, Recording, RowNames, refuse, warn
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -65,36 +51,6 @@ _SCALES = (0.2, 5.0)
 """No effect scales them by more."""
 _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
-
-
-def read_recording(
-    path: str | Path, arm: Described, topics: Sequence[str] = (), columns: ColumnMap | None = None
-) -> Recording:
-    """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
-
-    It is of an arm, or of another machine that is opened. Of a bag with several that is read whose
-    `topics` are given. `columns` says what columns of other names and units mean.
-
-    Raises:
-        RecordingError: no such file, another format, or what cannot be used.
-    """
-    path = Path(path)
-    if columns is not None:
-        if topics:
-            raise RecordingError(f"{path}: a map of columns names the topics of a bag itself")
-        recording = read_mapped(path, arm, columns)
-    elif path.name.lower().endswith(CSV_ENDINGS):
-        if topics:
-            raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
-        recording = read_csv(path, arm)
-    elif is_bag(path):
-        recording = read_mcap(path, arm, topics)
-    else:
-        raise RecordingError(
-            f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"
-        )
-    refuse_unusable(recording, check_form(recording, arm))
-    return recording
 
 
 def check_form(recording: Recording, machine: Described) -> list[Finding]:
@@ -147,6 +103,9 @@ def _shapes(recording: Recording, layout: Layout) -> Iterator[Finding]:
 
 
 def _numbers(recording: Recording, layout: Layout) -> Iterator[Finding]:
+    remedy = "leave out rows that lack one"
+    if recording.row_names.of_bag:
+        remedy = "see what their publisher sends, and record again"
     joints = layout.command_columns
     cables = layout.reading_columns
     numbers = [recording.time_s, recording.command_rad, recording.load_n, recording.tensions_n]
@@ -155,18 +114,20 @@ def _numbers(recording: Recording, layout: Layout) -> Iterator[Finding]:
         if (wrong := ~np.isfinite(values)).any():
             yield refuse(
                 "numbers",
-                f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "
-                "number: leave out rows that lack one",
+                f"{name} is empty or not finite in {recording.where(wrong)}; each must have a "
+                f"number: {remedy}",
             )
         elif name != TIME:
-            yield from huge_values(name, values)
+            yield from huge_values(name, values, recording.row_names)
 
 
 def _time(recording: Recording, layout: Layout, rate_hz: float | None) -> Iterator[Finding]:
     """Findings on the clock; `rate_hz` is that of the sensors, where it is known."""
     steps = np.diff(recording.time_s)
     same_trial = np.diff(recording.trial) == 0
-    wrong = list(time_findings(recording.time_s, np.zeros(len(recording), dtype=bool)))
+    names = recording.row_names
+    may_restart = np.zeros(len(recording), dtype=bool)
+    wrong = list(time_findings(recording.time_s, may_restart, names, of_bag=names.of_bag))
     if wrong:
         yield from wrong
         return
@@ -193,7 +154,7 @@ def _time(recording: Recording, layout: Layout, rate_hz: float | None) -> Iterat
             yield warn(
                 "gap",
                 f"{TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
-                f"{rows_named(gap)}, where {usual:.3g} s is usual; a break ends a trial",
+                f"{recording.where(gap)}, where {usual:.3g} s is usual; a break ends a trial",
             )
     starts = np.append(True, ~same_trial)
     numbers, counts = np.unique(recording.trial[starts], return_counts=True)
@@ -213,14 +174,14 @@ def _labels(recording: Recording, layout: Layout) -> Iterator[Finding]:
     if outside.any():
         yield refuse(
             "segment",
-            f"{LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
+            f"{LOAD_SEGMENT} is {segment[outside][0]} in {recording.where(outside)}; it must "
             f"be from 1 to {count}, or 0 without a load",
         )
     unnamed = loaded & (segment == 0)
     if unnamed.any():
         yield refuse(
             "label",
-            f"a load is given in {rows_named(unnamed)} with {LOAD_SEGMENT} 0; name the "
+            f"a load is given in {recording.where(unnamed)} with {LOAD_SEGMENT} 0; name the "
             "segment it acts on, or give 0 N",
         )
     if recording.load_at_m is not None:
@@ -232,14 +193,14 @@ def _labels(recording: Recording, layout: Layout) -> Iterator[Finding]:
             link = layout.link_names[segment[first] - 1].replace("_", " ")
             yield refuse(
                 "place",
-                f"{LOAD_AT} is {at_m[first]:g} in {rows_named(off)}; on {link} it must be from "
-                f"{low_m[first]:g} to {high_m[first]:g} m along its axis, or empty for "
+                f"{LOAD_AT} is {at_m[first]:g} in {recording.where(off)}; on {link} it must be "
+                f"from {low_m[first]:g} to {high_m[first]:g} m along its axis, or empty for "
                 f"{layout.default_m}",
             )
     huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
     if huge.any():
         yield refuse(
-            "load", f"the load is over {MAX_LOAD_N:g} N in {rows_named(huge)}; loads are in N"
+            "load", f"the load is over {MAX_LOAD_N:g} N in {recording.where(huge)}; loads are in N"
         )
 
 
@@ -249,8 +210,8 @@ def _commands(recording: Recording, layout: Layout) -> Iterator[Finding]:
     if far.any():
         yield refuse(
             "degrees",
-            f"a commanded angle is {np.abs(command).max():.4g} rad in {rows_named(far)}; angles "
-            "are in rad, and these seem to be degrees",
+            f"a commanded angle is {np.abs(command).max():.4g} rad in {recording.where(far)}; "
+            "angles are in rad, and these seem to be degrees",
         )
 
 
@@ -261,8 +222,8 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if bent.any():
         yield refuse(
             "bend",
-            f"the command bends a joint so far in {rows_named(bent)} that guide plates meet, at "
-            f"{np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
+            f"the command bends a joint so far in {recording.where(bent)} that guide plates meet, "
+            f"at {np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
         )
     moved_rad = np.abs(np.diff(command, axis=0)).max(axis=1)
     fast = moved_rad > _FASTEST_RAD_S * np.diff(recording.time_s)
@@ -271,8 +232,8 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if jump.any():
         yield warn(
             "jump",
-            f"the command jumps in {rows_named(jump)}, and the arm follows later; send a move in "
-            "small steps, or leave out the rows until the arm is there",
+            f"the command jumps in {recording.where(jump)}, and the arm follows later; send a "
+            "move in small steps, or leave out the rows until the arm is there",
         )
 
 
@@ -302,7 +263,7 @@ def _channels(
     saturated ones can be found.
     """
     read = recording.tensions_n
-    findings = list(_at_range_ends(read, arm))
+    findings = list(_at_range_ends(recording, arm))
     if np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any():
         findings += [
             warn(
@@ -324,7 +285,7 @@ def _channels(
     findings += [
         warn(
             "stuck",
-            f"tension_{cable + 1}_n stands still in rows {run.start + 1} to {run.stop}, and has "
+            f"tension_{cable + 1}_n stands still in {recording.row_names.span(run)}, and has "
             "noise elsewhere; see whether its sensor is connected",
         )
         for cable, run in silent.items()
@@ -342,7 +303,7 @@ def _channels(
     cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
     centred_read, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
     known = {cable for cable, run in silent.items() if run is not None}
-    stuck = list(_stuck(compared, rows, nominal_n, moved_n, known))
+    stuck = list(_stuck(compared, recording.row_names.only(rows), nominal_n, moved_n, known))
     if len(cables) < 2:
         return [*findings, *stuck]
     exchanged = list(_exchanged(centred_read, expected, cables))
@@ -356,19 +317,19 @@ def _channels(
     return [*findings, *stuck, *_foreign(responses_n, arm)]
 
 
-def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
+def _at_range_ends(recording: Recording, arm: Arm) -> Iterator[Finding]:
     """Saturated channels. A reading of 0 N is no finding: a slack cable has no tension."""
     if arm.sensors.range_n is None:
         return
     low, high = arm.sensors.range_n
     tolerance = 0.5 * arm.sensors.step_n
-    for cable, values in enumerate(read.T, start=1):
+    for cable, values in enumerate(recording.tensions_n.T, start=1):
         for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
             if end.any() and limit != 0.0:
                 yield warn(
                     "saturated",
                     f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "
-                    f"{rows_named(end)}; load less, or widen the range",
+                    f"{recording.where(end)}; load less, or widen the range",
                 )
 
 
@@ -388,13 +349,9 @@ def _silent_rows(recording: Recording, values: Array, arm: Arm) -> slice | None:
 
 
 def _stuck(
-    recording: Recording,
-    numbers: NDArray[np.int64],
-    nominal_n: Array,
-    moved_n: float,
-    known: set[int],
+    recording: Recording, names: RowNames, nominal_n: Array, moved_n: float, known: set[int]
 ) -> Iterator[Finding]:
-    """Channels that stay at one value while the prediction changes; rows have `numbers` from 0.
+    """Channels that stay at one value while the prediction changes.
 
     Cables (from 0) that are `known` to are left out.
 
@@ -412,9 +369,8 @@ def _stuck(
         if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
             yield warn(
                 "stuck",
-                f"tension_{cable}_n stands still in rows {numbers[longest.start] + 1} to "
-                f"{numbers[longest.stop - 1] + 1}, while loads or poses change; see whether its "
-                "sensor is connected",
+                f"tension_{cable}_n stands still in {names.span(longest)}, while loads or poses "
+                "change; see whether its sensor is connected",
             )
             continue
         tops = [
@@ -422,12 +378,11 @@ def _stuck(
         ]
         at_top = np.concatenate([predicted[run] for run in tops]) if tops else np.zeros(1)
         if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
-            highest = np.zeros(numbers[-1] + 1, dtype=bool)
-            highest[numbers[values == values.max()]] = True
+            highest = values == values.max()
             yield warn(
                 "saturated",
                 f"tension_{cable}_n does not exceed {values.max():g} N in "
-                f"{rows_named(highest)}, while the load on it increases; load less, "
+                f"{names.of(highest)}, while the load on it increases; load less, "
                 "or give the sensors' range_n in the arm file",
             )
 

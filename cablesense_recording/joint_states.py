@@ -65,7 +65,12 @@ class _Source(CountedMessages):
 
 @dataclass
 class _Series:
-    """Numbers that hold until the next: commands or trials, and the count of all messages."""
+    """Numbers of one topic, each of which holds until the next: commands, or a trial's number.
+
+    Attributes:
+        counts: which message of the bag each came with, counted over all topics from 1.
+        numbers: of one message after the other, as many each.
+    """
 
     counts: array[int] = field(default_factory=lambda: array("q"))
     numbers: array[float] = field(default_factory=lambda: array("d"))
@@ -286,7 +291,7 @@ def _of_poses(
         f"{each.parent or '(no name)'}, which must be those of the model's base."
         for each in tracked
     ]
-    clock_ns, note = one_clock(*slowest.counts_and_times[:, 1:].T)
+    clock_ns, note = one_clock(bag.path, *slowest.counts_and_times[:, 1:].T)
     notes += [note] if note else []
     kept = np.ones(len(clock_ns), dtype=bool)
     columns: dict[str, Array] = {}
@@ -299,7 +304,7 @@ def _of_poses(
             )
         brought = values
         if number:
-            own_ns, _ = one_clock(*times[:, 1:].T)
+            own_ns, _ = one_clock(bag.path, *times[:, 1:].T)
             back = np.flatnonzero(np.diff(own_ns) <= 0)
             if back.size:
                 raise RecordingError(
@@ -482,7 +487,7 @@ def _merged(
     logs = [times[:, 1] for times, _, _ in series]
     clocks = []
     for times, _, _ in series:
-        clock_ns, note = one_clock(times[:, 1], times[:, 2])
+        clock_ns, note = one_clock(path, times[:, 1], times[:, 2])
         clocks.append(clock_ns)
         notes += [note] if note else []
     if len(series) > 1:

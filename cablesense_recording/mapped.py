@@ -110,6 +110,8 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     command: Array | None = np.array(held) if held else None
     first_command = FirstCommand(command_topic)
     times_ns: list[tuple[int, int]] = []
+    reading_count = 0
+    messages: list[int] = []
     commands: list[Array] = []
     tensions: list[Array] = []
     topics: set[str] = set()
@@ -122,6 +124,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     channels = layout.channel_names
     most_rows = MAX_NUMBERS // (7 + len(joints) + len(channels))
     for raw, message in decoded(path, wanted):
+        reading_count += raw.topic == tension_topic
         if raw.topic == tension_topic and not held:
             first_command.reading(raw.log_ns)
         if raw.topic == command_topic and not held:
@@ -129,6 +132,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
             command = _numbers(path, raw, message, columns.commands, joints, "position")
         if raw.topic == tension_topic and command is not None:
             times_ns.append((raw.log_ns, _stamp_ns(message)))
+            messages.append(reading_count)
             commands.append(command)
             tensions.append(_numbers(path, raw, message, columns.tensions, channels, "effort"))
         if len(times_ns) > most_rows:
@@ -138,7 +142,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
         needed = tension_topic if held else f"{tension_topic} after {command_topic}"
         raise RecordingError(f"{path}: has no message on {needed}, but {present}")
     logs_ns, stamps_ns = np.array(times_ns, dtype=np.int64).T
-    clock_ns, _ = one_clock(logs_ns, stamps_ns)
+    clock_ns, _ = one_clock(path, logs_ns, stamps_ns)
     count = len(times_ns)
     recording = _recording(
         plain_name(path.stem),
@@ -152,6 +156,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
     )
     return replace(
         recording,
+        message=np.array(messages, dtype=np.int64),
         notes=(*recording.notes, *first_command.notes),
         commanded_inside=first_command.comes_inside,
     )

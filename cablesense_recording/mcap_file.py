@@ -72,10 +72,12 @@ class BagRows:
         self._loads: dict[int, Load] = {}
         self._trial = np.nan
         self._offset = False
+        self._reading_count = 0
         numbers_in_row = 7 + len(layout.command_names) + len(layout.channel_names)
         self._most_rows = MAX_NUMBERS // numbers_in_row
         # plain arrays, as objects would take four times the memory
         self._times_ns = array("q")
+        self._messages = array("q")
         self._numbers = array("d")
 
     def take(self, topic: str, log_ns: int, message: Any) -> None:
@@ -87,6 +89,7 @@ class BagRows:
         """
         layout = self._layout
         if topic == topics.CABLE_TENSIONS:
+            self._reading_count += 1
             self._first_command.reading(log_ns)
         if topic == layout.command_topic:
             self._first_command.command(log_ns)
@@ -123,7 +126,7 @@ class BagRows:
                 f"{command_topic}; record on after the command"
             )
         logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
-        clock_ns, odd = one_clock(logs_ns, stamps_ns)
+        clock_ns, odd = one_clock(path, logs_ns, stamps_ns)
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
         ends = np.cumsum([1, 1, 1, 3, len(self._layout.command_names)])
@@ -146,6 +149,7 @@ class BagRows:
             load_n=load_n,
             tensions_n=tensions_n,
             load_at_m=at_m,
+            message=np.array(self._messages, dtype=np.int64),
             notes=(*notes, *self._first_command.notes),
             commanded_inside=self._first_command.comes_inside,
         )
@@ -167,6 +171,7 @@ class BagRows:
             )
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         self._times_ns.extend((min(log_ns, _LATEST_NS), stamp_ns))
+        self._messages.append(self._reading_count)
         labels = self._trial, load.segment, place_m
         for numbers in (labels, load.force_base_n, command, tensions):
             self._numbers.extend(numbers)

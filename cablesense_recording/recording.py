@@ -1,4 +1,4 @@
-"""One recording of an arm, as arrays: its trials, and the rows of a long one that are used.
+"""A recording of an arm or another machine, as arrays: its trials, and which rows are used.
 
 Rows are chosen, never averaged, because the noise of a reading must stay that of the sensors
 (docs/diagnosis_method.md). The ends of each trial are kept, rows where the command or the load
@@ -13,7 +13,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,20 +69,70 @@ class RecordingError(CableSenseError):
     """A recording that cannot be used: names the file, the rows, the fault and the remedy."""
 
 
+class RowNames(NamedTuple):
+    """What R rows are called in sentences: by their numbers in a file or a bag.
+
+    Attributes:
+        numbers: (R,) from 1 on, ascending; some may be left out.
+        of_bag: whether they are of messages on the topic of the readings.
+    """
+
+    numbers: NDArray[np.int64]
+    of_bag: bool = False
+
+    def only(self, rows: NDArray[np.int64]) -> RowNames:
+        """Those of some of the rows (K,), by their indices."""
+        return self._replace(numbers=self.numbers[rows])
+
+    def of(self, marked: NDArray[Any]) -> str:
+        """Marked rows (R,): `row 7`, `rows 3 to 9 and 12`, `rows 1, 3 … (40 in all)`.
+
+        Of a bag it is `message 7 of the readings` and so on.
+        """
+        numbers = self.numbers[marked]
+        runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+        named = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
+        if len(named) > _SHOWN:
+            which = f"{', '.join(named[:_SHOWN])} … ({len(numbers)} in all)"
+        else:
+            *first, last = named
+            which = f"{', '.join(first)} and {last}" if first else last
+        return self._said(which, several=len(numbers) > 1)
+
+    def span(self, rows: slice) -> str:
+        """Rows from the first to the last of a slice, whatever is left out between them."""
+        numbers = self.numbers[rows]
+        return self._said(f"{numbers[0]} to {numbers[-1]}", several=True)
+
+    def _said(self, which: str, *, several: bool) -> str:
+        plural = "s" if several else ""
+        if self.of_bag:
+            return f"message{plural} {which} of the readings"
+        return f"row{plural} {which}"
+
+
 @dataclass(frozen=True)
 class Recording:
-    """Commands, known loads and readings of an arm: R rows in time order.
+    """Commands, known loads and readings of an arm or another machine: R rows in time order.
+
+    Names and shapes are those of an arm. A machine that MuJoCo describes has C commands, in rad of
+    hinges and m of slides and of tendons, and M readings, in N of tendons and slides and N·m of
+    hinges.
 
     Attributes:
         name: of the file it came from, without its suffix.
         time_s: (R,) since the recording began.
         trial: (R,) blocks that belong together; they are held out whole.
-        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first.
+        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first; of a
+            machine (R, C), or its measured joints.
         load_segment: (R,) 1 to N where a known load acts, else 0.
         load_n: (R, 3) that load, base frame.
-        tensions_n: (R, M) as the sensors at the actuator ends read them.
+        tensions_n: (R, M) as the sensors at the actuator ends read them; of a machine also joints'
+            torques.
         load_at_m: (R,) where on its segment's axis the load acts, from the joint centre; NaN for
             the arm file's `contact_m`. None where no row states a place.
+        message: (R,) which message of the readings' topic each row is, from 1; None where rows are
+            those of a file.
         notes: what was read and how, as sentences.
         commanded_inside: whether the first command was given during the recording, so that the
             machine may be on its way to it in the first rows.
@@ -95,12 +146,24 @@ class Recording:
     load_n: Array
     tensions_n: Array
     load_at_m: Array | None = None
+    message: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
     commanded_inside: bool = False
 
     def __len__(self) -> int:
         """Number of rows R."""
         return len(self.time_s)
+
+    @property
+    def row_names(self) -> RowNames:
+        """What its rows are called in sentences for people."""
+        if self.message is not None:
+            return RowNames(self.message, of_bag=True)
+        return RowNames(np.arange(1, len(self) + 1))
+
+    def where(self, marked: NDArray[np.bool_]) -> str:
+        """Which rows (R,) are marked, in words."""
+        return self.row_names.of(marked)
 
     @property
     def forces_n(self) -> Array:
@@ -153,13 +216,16 @@ warn = partial(Finding, False)
 
 
 def one_clock(
-    arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]
+    path: Path, arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], str]:
-    """The one clock (R,) of messages that came at `arrival_ns`, and a sentence if it is odd.
+    """The one clock (R,) of messages of a bag that came at `arrival_ns`; a sentence if it is odd.
 
     Stamps count, also from 0 on, as simulated time begins. Where some are missing, which 0 stands
     for, the times of arrival count for all: rows of two clocks have no order.
-    Stamps that run back are left to the checks of time.
+    Stamps that run back are left to the checks of time, if none is missing.
+
+    Raises:
+        RecordingError: some stamps are missing, and the others run back.
     """
     missing = stamp_ns == 0
     steps_ns = np.diff(stamp_ns)
@@ -168,9 +234,16 @@ def one_clock(
         and bool((steps_ns > 0).all())
         and float(steps_ns[0]) <= _GAP_INTERVALS * float(np.median(steps_ns))
     )
-    runs_back = bool((np.diff(stamp_ns[~missing]) <= 0).any())
-    if not missing.any() or begins_at_zero or runs_back:
+    if not missing.any() or begins_at_zero:
         return stamp_ns, ""
+    stated_steps_ns = np.diff(stamp_ns[~missing])
+    if (stated_steps_ns <= 0).any():
+        back_s = -1e-9 * float(stated_steps_ns.min())
+        raise RecordingError(
+            f"{path}: {int(missing.sum())} of {len(stamp_ns)} messages have no stamp, and by "
+            f"those of the others time_s runs back by up to {back_s:.6g} s, so nothing says "
+            "in which order they were read; see whether two nodes publish them, and record again"
+        )
     if missing.all():
         return arrival_ns, ""
     return arrival_ns, (
@@ -196,19 +269,6 @@ def refuse_unusable(
 def given_places(load_at_m: Array | None) -> Array | None:
     """Places (R,) of loads; None where all are NaN."""
     return None if load_at_m is None or np.isnan(load_at_m).all() else load_at_m
-
-
-def rows_named(wrong: NDArray[Any]) -> str:
-    """Marked rows (R,), from 1: `row 7`, `rows 3 to 9 and 12`, `rows 1, 3 … (40 in all)`."""
-    rows = np.flatnonzero(wrong) + 1
-    if len(rows) == 1:
-        return f"row {rows[0]}"
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    named = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
-    if len(named) > _SHOWN:
-        return f"rows {', '.join(named[:_SHOWN])} … ({len(rows)} in all)"
-    *first, last = named
-    return f"rows {', '.join(first)} and {last}" if first else f"rows {last}"
 
 
 def derive_trials(

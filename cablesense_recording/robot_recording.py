@@ -42,7 +42,7 @@ from cablesense_recording.efforts import (
 from cablesense_recording.joint_states import bag_table
 from cablesense_recording.mcap_file import is_bag
 from cablesense_recording.poses import Kinematics, with_positions
-from cablesense_recording.recording import Finding, RecordingError
+from cablesense_recording.recording import Finding, RecordingError, RowNames
 
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
@@ -146,7 +146,7 @@ class _Part:
         return self.stated_trial is not None
 
 
-def read_robot_recording(
+def read_by_channels(
     path: str | Path,
     channels: RobotChannels,
     topics: Sequence[str] = (),
@@ -327,11 +327,12 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     _refuse_other_names(path, table, channels)
     present = [channel for channel in channels.table if channel.label in table]
     measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
+    names = RowNames(np.arange(1, rows + 1))
     begin, end = _begun(table, measured)
     for channel in measured:
         _refuse_gaps(path, channel, table[channel.label], begin, end)
         if channel.kind not in (Kind.TIME, Kind.TRIAL):
-            for finding in huge_values(channel.label, table[channel.label]):
+            for finding in huge_values(channel.label, table[channel.label], names):
                 raise RecordingError(f"{path}: {finding.text}")
     numbered = any(channel.kind is Kind.TRIAL for channel in measured)
     trial = np.zeros(rows, dtype=np.int64)
@@ -339,7 +340,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         trial = np.cumsum(np.diff(table[TRIAL], prepend=table[TRIAL][0]) != 0.0)
     time_s = table[TIME]
     may_restart = np.append(False, np.diff(trial) != 0) & (not bag)
-    for finding in time_findings(time_s, may_restart):
+    for finding in time_findings(time_s, may_restart, names, of_bag=bag):
         raise RecordingError(f"{path}: {finding.text}")
     notes = list(_trimmed(measured, rows, begin, end))
     used = slice(begin, end)

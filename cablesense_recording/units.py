@@ -1,4 +1,8 @@
-"""Units in which somebody else's recording may have its numbers, each in SI units."""
+"""Units in which somebody else's recording may have its numbers, each in SI units.
+
+Amplifiers on a CAN bus have counts or mV/V: their channel maps state `scale_n_per_unit` instead
+(`cablesense_online.can.channel_map`).
+"""
 
 from __future__ import annotations
 

@@ -22,11 +22,11 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import (
-    SensorCalibration,
-    calibrated,
-    calibration_status,
-    load_calibration,
+    SensorScales,
+    load_sensor_scales,
     open_channel_map,
+    sensor_scales_status,
+    with_sensor_scales,
 )
 from cablesense_online.can.driver import CanDriver
 from cablesense_ros.endpoints import CommandInput, RefusalLog, steady_timer
@@ -48,7 +48,7 @@ class CanDriverNode(ConfiguredNode):
 
     def __init__(self) -> None:
         super().__init__("can_driver")
-        self._calibration: SensorCalibration | None = None
+        self._scales: SensorScales | None = None
         self._refuse = RefusalLog(self)
 
     def _begin(self) -> None:
@@ -60,11 +60,11 @@ class CanDriverNode(ConfiguredNode):
         arm = open_arm(given["arm"])
         channel_map, database = open_channel_map(given["map"])
         channel_map = channel_map.arranged(arm.cable_names)
-        self._calibration = None
+        self._scales = None
         if given["sensor_calibration_file"]:
-            self._calibration = load_calibration(given["sensor_calibration_file"])
-            channel_map = calibrated(
-                channel_map, database, self._calibration, given["sensor_calibration_file"]
+            self._scales = load_sensor_scales(given["sensor_calibration_file"])
+            channel_map = with_sensor_scales(
+                channel_map, database, self._scales, given["sensor_calibration_file"]
             )
         if given["joint_states"]:
             self._show_set_points(arm, given["joint_speed_rad_s"])
@@ -77,7 +77,7 @@ class CanDriverNode(ConfiguredNode):
         self.get_logger().info(
             f"arm {arm.identity}: map {channel_map.name} with {len(channel_map.channels)} "
             f"channels on {interface.name}, scales and zeros: "
-            f"{calibration_status(self._calibration).message}"
+            f"{sensor_scales_status(self._scales).message}"
         )
 
     def _show_set_points(self, arm: Arm, speed_rad_s: float) -> None:
@@ -121,7 +121,7 @@ class CanDriverNode(ConfiguredNode):
         statuses, faults = self._driver.report(self.get_parameter("stale_after_s").value)
         for kind in faults.recent:
             self.get_logger().warning(f"{kind.value}: {faults.last[kind]}")
-        return [*statuses, calibration_status(self._calibration)]
+        return [*statuses, sensor_scales_status(self._scales)]
 
 
 main = partial(run_node, CanDriverNode)

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 from rich.console import Console
 
 from cablesense_base import CableSenseError
+from cablesense_base.progress import status, task_bars
 from cablesense_msgs_py import topics
 from cablesense_ros.processes import Processes, node_command, own_graph
 from cablesense_sim.arm import open_arm
@@ -150,7 +151,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     played = _played(options, script, live, console)
     results = demo_pushes.push_results(script, played)
     picture = options.out / "demo.png"
-    with console.status("Drawing the picture …"):
+    with status("Drawing the picture …"):
         demo_pushes.draw_pushes(picture, played, results, shown.words)
     if as_json:
         identity = {shown.words.machine: shown.felt.identity}
@@ -169,8 +170,6 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 def _played(
     options: DemoOptions, script: Sequence[ScriptedPush], live: LiveMachine, console: Console
 ) -> PushRecord:
-    from rich.progress import Progress
-
     from cablesense_ros.demo_pushes import play_script
     from cablesense_ros.machine_client import MachineClient, command_readers
     from cablesense_ros.node_process import node_in_thread
@@ -183,7 +182,7 @@ def _played(
     with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
         readers = command_readers(live.shown, "estimator", commissioner=options.commission)
         client = MachineClient(node, live, "estimator", readers)
-        with console.status(f"Starting the simulated {words.machine} and the estimator …"):
+        with status(f"Starting the simulated {words.machine} and the estimator …"):
             wait = partial(processes.wait_until, within_s=_START_S)
             wait(lambda: client.connected, otherwise="simulator and estimator did not come up")
             client.command(script[0].command)
@@ -192,13 +191,13 @@ def _played(
         by_tare = _known(live)
         console.print(f"After a tare, the {words.machine} is {by_tare}.")
         if options.commission:
-            _commission(node, live, processes, console)
+            _commission(node, live, processes)
             taken = "the estimator did not take the calibration over"
             wait(lambda: _known(live) != by_tare, otherwise=taken)
             console.print(f"Commissioned, the {words.machine} is {_known(live)}.")
-        with Progress(console=console, transient=True) as bar:
-            task = bar.add_task(f"pushing the {words.machine}", total=script[-1].end_s)
-            return play_script(client, live, script, processes.check, partial(bar.update, task))
+        with task_bars() as bars:
+            show = bars.begin(f"pushing the {words.machine}")
+            return play_script(client, live, script, processes.check, show)
 
 
 def _known(live: LiveMachine) -> str:
@@ -206,13 +205,12 @@ def _known(live: LiveMachine) -> str:
     return live.snapshot(time.monotonic()).machine_known or "not known"
 
 
-def _commission(node: Node, live: LiveMachine, processes: Processes, console: Console) -> None:
+def _commission(node: Node, live: LiveMachine, processes: Processes) -> None:
     """Let the arm be commissioned.
 
     Raises:
         CableSenseError: it does not begin, or stops before its end.
     """
-    from rich.progress import Progress
     from std_srvs.srv import Trigger
 
     from cablesense_ros.endpoints import of_node
@@ -232,13 +230,13 @@ def _commission(node: Node, live: LiveMachine, processes: Processes, console: Co
         return False
 
     wait(begun, otherwise="the commissioning did not begin")
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("commissioning", total=_POSES)
+    with task_bars() as bars:
+        show = bars.begin("commissioning")
 
         def ended() -> bool:
             progress = live.snapshot(time.monotonic()).commissioning
             if progress is not None:
-                bar.update(task, total=progress.holds, completed=progress.done)
+                show(progress.done / max(progress.holds, 1))
             return live.commissioned is not None
 
         ending = "the commissioning did not end"

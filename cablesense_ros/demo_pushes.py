@@ -132,12 +132,12 @@ def play_script(
     live: LiveMachine,
     script: Sequence[ScriptedPush],
     check: Callable[[], object],
-    progress: Callable[..., object],
+    progress: Callable[[float], object],
 ) -> PushRecord:
     """Play the script in real time.
 
-    At every step `check` is called, which raises to end the play, and `progress` with the seconds
-    since the start as `completed`.
+    At every step `check` is called, which raises to end the play, and `progress` with the share of
+    the script that is done.
     """
     due: deque[tuple[float, Callable[[], None]]] = deque()
     for push in script:
@@ -152,7 +152,7 @@ def play_script(
         check()
         while due and due[0][0] <= now_s:
             due.popleft()[1]()
-        progress(completed=now_s)
+        progress(now_s / script[-1].end_s)
         snapshots.append(live.snapshot(time.monotonic()))
         times_s.append(now_s)
         time.sleep(_RECORD_EVERY_S)

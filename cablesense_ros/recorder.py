@@ -19,6 +19,7 @@ from rich.console import Console
 from sensor_msgs.msg import JointState
 
 from cablesense_base import CableSenseError
+from cablesense_base.progress import status
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.qos import INPUTS, SENSOR, TopicType, resolved, segment_of
@@ -185,12 +186,12 @@ def record_topics(
         recorder = Recorder(node, path, wanted, arm, force)
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
-            with console.status("waiting for the arm") as line:
+            with status("waiting for the arm") as say:
                 while not wanted_end.done() and (left_s := end_s - time.monotonic()) > 0.0:
                     wake_s = min(_WAKE_S, left_s)
                     executor.spin_until_future_complete(wanted_end, timeout_sec=wake_s)
                     recorder.flush()
-                    line.update(f"recording, Ctrl-C ends it: {recorder.status}")
+                    say(f"recording, Ctrl-C ends it: {recorder.status}")
         finally:
             recorder.close()
         console.print(f"{path}: {recorder.status}", soft_wrap=True, markup=False, highlight=False)

@@ -12,7 +12,8 @@ class Course(NamedTuple):
 
     Attributes:
         time_s: (R,) ascending.
-        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first.
+        command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first; of a
+            machine that MuJoCo describes (R, C), rad or m.
         forces_n: (R, N, 3) the load on each segment, base frame.
         places_m: (R, N) where on their axes loads act, from the joint centres; NaN for the arm
             file's `contact_m`. None where no sample states a place.

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import TaskID
 
+from cablesense_base.progress import task_bars
 from cablesense_ros.cli.app import run_app
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, task_bars
+from cablesense_ros.cli.options import ForceOption, JsonOption, print_json
 
 
 def _study_names() -> str:
@@ -65,13 +65,9 @@ def studies(
     claim_folder(out, force)
     console = Console(stderr=json_output)
     outcomes = []
-    with task_bars(console) as progress:
+    with task_bars() as bars:
         for study in chosen:
-            task = progress.add_task(study.title, total=1.0)
-
-            def show(done: float, task: TaskID = task) -> None:
-                progress.update(task, completed=done)
-
+            show = bars.begin(study.title)
             outcomes.append(run_study(study, quick, show))
             show(1.0)
     results = write_report(out, outcomes, quick)

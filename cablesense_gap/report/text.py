@@ -267,7 +267,7 @@ def _known(verdict: Verdict) -> Mapping[str, EffectDescription]:
         return known_effects()
     from cablesense_gap.robot import amending  # loads MuJoCo
 
-    return amending.known_effects()
+    return amending.known_robot_effects()
 
 
 def cause(verdict: Verdict, name: str) -> str:

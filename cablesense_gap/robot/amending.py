@@ -41,7 +41,7 @@ class _Beside(FilePart):
 
 
 @cache
-def known_effects() -> Mapping[str, RobotEffect]:
+def known_robot_effects() -> Mapping[str, RobotEffect]:
     """Effects by name, tolerances included: those of the folder `effects`."""
     by_name = effects_in(effects, RobotEffect)
     return MappingProxyType(dict(sorted(by_name.items())))
@@ -55,7 +55,7 @@ def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
     change = robot.nominal()
     for values in _added_up(lists):
         for (name, place), numbers in sorted(_by_site(values).items()):
-            effect = known_effects()[name]
+            effect = known_robot_effects()[name]
             place_index = effect.places(robot).index(place)
             effect.act(change, place_index, defaultdict(float, numbers))
     return change
@@ -69,7 +69,7 @@ def _added_up(lists: Sequence[Assignment]) -> list[dict[Term, float]]:
         own: dict[Term, float] = {}
         for term, value in values.items():
             into = own
-            if known_effects()[term.effect].adds_up:
+            if known_robot_effects()[term.effect].adds_up:
                 into = first.setdefault(term[:2], own)
             into[term] = into.get(term, 0.0) + value
         summed.append(own)
@@ -167,11 +167,10 @@ def load_amended(path: str | Path) -> tuple[Robot, dict[Term, float]]:
         problem = describe_problem(error, _Beside)
         raise RobotError(f"{beside}: is no list of effects ({problem}); diagnose again") from None
     for item in listed:
-        effect = known_effects().get(item.effect)
+        effect = known_robot_effects().get(item.effect)
         if effect is None:
-            raise RobotError(
-                f"{beside}: effect {item.effect!r} is unknown; known: {', '.join(known_effects())}"
-            )
+            known = ", ".join(known_robot_effects())
+            raise RobotError(f"{beside}: effect {item.effect!r} is unknown; known: {known}")
         if item.at not in effect.places(robot):
             raise RobotError(
                 f"{beside}: effect {item.effect} cannot be at {item.at!r}; valid: "
@@ -186,5 +185,5 @@ def _in_model(values: Mapping[Term, float]) -> dict[Term, float]:
     return {
         term: value
         for term, value in values.items()
-        if known_effects()[term.effect].in_model and term.parameter not in OF_FORM
+        if known_robot_effects()[term.effect].in_model and term.parameter not in OF_FORM
     }

@@ -14,7 +14,7 @@ from cablesense_gap.robot.poses import PoseKinematics, pose_frames
 from cablesense_recording.channels import RobotChannels
 from cablesense_recording.efforts import Meaning
 from cablesense_recording.robot_recording import RobotRecording as RobotRecording
-from cablesense_recording.robot_recording import read_robot_recording
+from cablesense_recording.robot_recording import read_by_channels
 
 
 def channels_of(robot: Robot) -> RobotChannels:
@@ -41,7 +41,7 @@ def _driven(robot: Robot) -> tuple[bool, ...]:
     return tuple(joint in model.actuator_trnid[:, 0] for joint in range(len(robot.joints)))
 
 
-def read_recording(
+def read_robot_recording(
     path: str | Path,
     robot: Robot,
     topics: Sequence[str] = (),
@@ -57,10 +57,10 @@ def read_recording(
     With `force` a channel that stands still while its joint moves is no reason to refuse.
 
     Raises:
-        RecordingError: as `cablesense_recording.robot_recording.read_robot_recording`.
+        RecordingError: as `cablesense_recording.robot_recording.read_by_channels`.
     """
     channels = channels_of(robot)
-    recording = read_robot_recording(
+    recording = read_by_channels(
         path, channels, topics, efforts=efforts, kinematics=PoseKinematics(robot), force=force
     )
     lacks = [each.meaning is Meaning.WITHOUT_GRAVITY for each in recording.efforts]

@@ -21,7 +21,7 @@ from cablesense_gap.kept_simulations import KeptSimulations
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts, friction_forms, loads
-from cablesense_gap.robot.amending import changed, known_effects
+from cablesense_gap.robot.amending import changed, known_robot_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.forward import ForwardComparison
@@ -95,18 +95,11 @@ class RobotSystem(System):
         self.name = robot.name
         self.listed = dict(listed)
         self.motion = motion
-        compare: type[ServoComparison | ForwardComparison | InverseComparison] = (
-            ServoComparison
-            if motion.external
-            else ForwardComparison
-            if motion.forward
-            else InverseComparison
-        )
-        self.comparison: MotionComparison = compare(robot, motion)
+        self.comparison = _comparison_of(robot, motion)
         by_servos = motion.external or (motion.forward and motion.by_command)
         offered = [
             effect
-            for effect in known_effects().values()
+            for effect in known_robot_effects().values()
             if not (motion.zeroed and effect.of_zeros)
             and not (motion.external and effect.of_torques)
             and (by_servos or not effect.of_servos)
@@ -398,6 +391,15 @@ class RobotSystem(System):
         return ratios
 
 
+def _comparison_of(robot: Robot, motion: Motion) -> MotionComparison:
+    """By the commands of servos, forward in time, or by the torques that a motion needs."""
+    if motion.external:
+        return ServoComparison(robot, motion)
+    if motion.forward:
+        return ForwardComparison(robot, motion)
+    return InverseComparison(robot, motion)
+
+
 def _places(effect: RobotEffect, robot: Robot, motion: Motion) -> tuple[str, ...]:
     """Where an effect can be: torque constants that are unknown are no cause of a gap."""
     places = effect.places(robot)
@@ -551,7 +553,7 @@ def _judged_earlier(robot: Robot, motion: Motion, beside: Assignment) -> tuple[E
 
     Numbers of an effect whose size is in the MJCF are left out: they say nothing alone.
     """
-    tolerances = {t: v for t, v in beside.items() if known_effects()[t.effect].tolerance}
+    tolerances = {t: v for t, v in beside.items() if known_robot_effects()[t.effect].tolerance}
     system = RobotSystem(robot, motion, tolerances)
     ranges = parameters_of(system.candidates)
     sized = {t[:2] for t in beside if t in ranges and ranges[t].role == "size"}

@@ -1,8 +1,9 @@
-"""Channel map, DBC file and calibration: which signal is which cable, with its scale and zero.
+"""Channel map, DBC file and sensor scales: which signal is which cable, with its scale and zero.
 
 Maps are YAML files, the bundled ones opened by name and any other by path. cantools reads the DBC
-file (Vector's text format) that a map names. A calibration file replaces the scale and zero of
-some cables. It names the map, signals and units it was made for, so no other map takes it.
+file (Vector's text format) that a map names. A file of sensor scales, as `cablesense sensors
+calibrate` writes it, replaces the scale and zero of some cables. It names the map, signals and
+units it was made for, so no other map takes it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 from cablesense_msgs_py.messages import Level, Status
 
 MAX_MAP_BYTES = 200_000
-"""A map or calibration is a page of text."""
+"""A map or a file of scales is a page of text."""
 _MAX_DBC_BYTES = 2_000_000
 """The DBC file of a whole car has about a megabyte."""
 _DBC_ENCODING = "cp1252"
@@ -34,7 +35,7 @@ _DBC_ENCODING = "cp1252"
 _SIZES = re.compile(r"(?m)^\s*(?:BO_[^:\n]*:\s*(\d+)|SG_[^:\n]*:\s*(\d+)\s*\|\s*(\d+))")
 _LARGEST_SIZE = 8 * 1785
 """The bits of J1939's longest message. cantools takes memory for every bit that a line claims."""
-_CALIBRATION_HEAD = """\
+_SCALES_HEAD = """\
 # Scale and zero of tension sensors, from known loads. Give it to the driver as
 # -p sensor_calibration_file:=…
 # tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
@@ -42,7 +43,7 @@ _CALIBRATION_HEAD = """\
 
 
 class ChannelMapError(CableSenseError):
-    """A channel map, DBC or calibration file that does not fit: names file, place and remedy."""
+    """A channel map, DBC file or sensor scales that do not fit: names file, place and remedy."""
 
 
 def _not_zero(scale_n_per_unit: float) -> float:
@@ -284,7 +285,7 @@ def _signal_of(database: Database, place: SignalPlace, where: str) -> Signal:
     return signal
 
 
-class CalibratedSensor(SignalPlace):
+class ScaledSensor(SignalPlace):
     """The sensor of one cable: `tension_n = scale_n_per_unit * (value - zero)`.
 
     The optional fields record origin and expanded uncertainty (95 %).
@@ -314,7 +315,7 @@ class CalibratedSensor(SignalPlace):
     repeatability_n: Number | None = None
 
 
-class SensorCalibration(FilePart):
+class SensorScales(FilePart):
     """A file with scales and zeros of sensors, as `cablesense sensors calibrate` writes it.
 
     Attributes:
@@ -329,24 +330,24 @@ class SensorCalibration(FilePart):
     gravity_m_s2: Number | None = None
     common_relative_u: Number | None = None
     uncalibrated: tuple[Name, ...] = ()
-    cables: Annotated[dict[Name, CalibratedSensor], Field(min_length=1)]
+    cables: Annotated[dict[Name, ScaledSensor], Field(min_length=1)]
 
 
-def calibrated(
-    channel_map: ChannelMap, database: Database, calibration: SensorCalibration, source: str
+def with_sensor_scales(
+    channel_map: ChannelMap, database: Database, scales: SensorScales, source: str
 ) -> ChannelMap:
-    """The map with the calibration's scales and zeros; `source` names the calibration in errors.
+    """The map with these scales and zeros; `source` names their file in errors.
 
     Raises:
         ChannelMapError: it was made for another map, for other signals or units, or does not
             name every cable of the map once, as calibrated or as uncalibrated.
     """
-    if calibration.map != channel_map.name:
+    if scales.map != channel_map.name:
         raise ChannelMapError(
-            f"{source}: was made for map {calibration.map}, not for {channel_map.name}; calibrate "
+            f"{source}: was made for map {scales.map}, not for {channel_map.name}; calibrate "
             "with the map that the driver uses"
         )
-    named = [*calibration.cables, *calibration.uncalibrated]
+    named = [*scales.cables, *scales.uncalibrated]
     differing = {c for c in {*named, *channel_map.channels} if named.count(c) != 1}
     differing |= set(named) - set(channel_map.channels)
     if differing:
@@ -355,7 +356,7 @@ def calibrated(
             "and no other, must stand once under cables or uncalibrated"
         )
     channels = dict(channel_map.channels)
-    for cable, sensor in calibration.cables.items():
+    for cable, sensor in scales.cables.items():
         channel = channels[cable]
         text = "{}.{} in {!r}, factor {:g}, offset {:g}"
         now = (channel.message, channel.signal, *signal_conversion(database, channel))
@@ -373,37 +374,37 @@ def calibrated(
     return channel_map.model_copy(update={"channels": channels})
 
 
-def load_calibration(path: str | Path) -> SensorCalibration:
-    """Read a calibration.
+def load_sensor_scales(path: str | Path) -> SensorScales:
+    """Read scales and zeros of sensors, as `write_sensor_scales` writes them.
 
     Raises:
         ChannelMapError: the file cannot be read, is not YAML, or has an impossible key or value.
     """
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
-    return read_plain(text, str(path), SensorCalibration, ChannelMapError)
+    return read_plain(text, str(path), SensorScales, ChannelMapError)
 
 
-def write_calibration(path: str | Path, calibration: SensorCalibration) -> None:
-    """Write a calibration.
+def write_sensor_scales(path: str | Path, scales: SensorScales) -> None:
+    """Write scales and zeros of sensors.
 
     Raises:
         ChannelMapError: the file cannot be written.
     """
-    content = calibration.model_dump(mode="json", exclude_none=True)
-    text = _CALIBRATION_HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    content = scales.model_dump(mode="json", exclude_none=True)
+    text = _SCALES_HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     write_atomically(path, text, ChannelMapError)
 
 
-def calibration_status(calibration: SensorCalibration | None) -> Status:
-    """The origin of scales and zeros, with the calibrated values, for diagnostics."""
-    if calibration is None:
+def sensor_scales_status(scales: SensorScales | None) -> Status:
+    """The origin of scales and zeros, and their values, for diagnostics."""
+    if scales is None:
         return Status("calibration", Level.OK, "none given; those of the channel map")
     values = {
         cable: f"{sensor.scale_n_per_unit:.6g} N per unit from zero {sensor.zero:.6g}"
-        for cable, sensor in calibration.cables.items()
+        for cable, sensor in scales.cables.items()
     }
-    message = f"calibration of {calibration.made:%Y-%m-%d %H:%M}"
-    uncalibrated = calibration.uncalibrated
+    message = f"calibration of {scales.made:%Y-%m-%d %H:%M}"
+    uncalibrated = scales.uncalibrated
     if uncalibrated:
         message += f", but the map's for {', '.join(uncalibrated)}"
     return Status("calibration", Level.WARN if uncalibrated else Level.OK, message, values)

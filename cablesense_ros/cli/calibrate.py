@@ -86,8 +86,8 @@ def calibrate(
     from cablesense_contact.calibration import Calibrator
     from cablesense_contact.calibration_file import write_calibration
     from cablesense_contact.unloaded_holds import unloaded_holds, with_held_positions
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
 
     output_file(out, force=force, inputs=(recording, arm, model, columns))
     machine = opened(arm, model)

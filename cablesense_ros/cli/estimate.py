@@ -99,7 +99,7 @@ def estimate(
     known = loaded.calibration("" if calibration is None else str(calibration))
     settings = node_settings(tare_samples=tare_rows)
     answers: list[RecordedAnswer] = []
-    with progress_bar(len(recorded), shown=not json_output, what="rows") as advance:
+    with progress_bar(len(recorded), what="rows") as advance:
         for answer in recorded_answers(recorded, loaded, settings, known):
             answers.append(answer)
             advance(1)
@@ -119,9 +119,9 @@ def estimate(
 def _read(
     path: Path, machine: Described, columns: Path | None, topics: Sequence[str]
 ) -> Recording:
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import ColumnMap, read_column_map
     from cablesense_recording.csv_file import CSV_ENDINGS
+    from cablesense_recording.reading import read_recording
 
     described = None if columns is None else read_column_map(columns, machine)
     if described is None and path.name.lower().endswith(CSV_ENDINGS):

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
-from rich.console import Console
 
 from cablesense_base.files import output_file, write_atomically
 from cablesense_contact.felt_arm import FeltArm
@@ -225,8 +224,8 @@ def _recorded(
     from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
 
     errors = {}
     notes: tuple[str, ...] = ()
@@ -286,7 +285,7 @@ def _law_statements(law: LawModel, samples: int, seed: int) -> dict[str, Any]:
     from cablesense_training.evaluation.law import evaluate_built, evaluate_exact, law_protocol
 
     protocol = law_protocol(law.arm, samples)
-    with progress_bar(samples, shown=True) as advance:
+    with progress_bar(samples) as advance:
         built = evaluate_built(law, law.arm, protocol, seed, advance)
     exact = evaluate_exact(law, law.arm, protocol, seed)
     force_range_n = [protocol.force_low_n, protocol.force_high_n]
@@ -298,10 +297,9 @@ def _law_statements(law: LawModel, samples: int, seed: int) -> dict[str, Any]:
 
 
 def _comparison(samples: int, seed: int, workers: int) -> Result:
+    from cablesense_base.progress import status
     from cablesense_training.evaluation.comparison import compare
 
-    with Console(stderr=True).status("Evaluating …") as status:
-        content = compare(
-            seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
-        )
+    with status("Evaluating …") as say:
+        content = compare(seed, samples, workers, lambda name: say(f"Evaluating {name} …"))
     return "The estimator, the paper's networks, and the noise bound", content

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
+from cablesense_base.progress import StagedProgress, staged_progress, status
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.interrupted import resumable
 from cablesense_ros.cli.options import (
@@ -28,7 +30,6 @@ from cablesense_ros.cli.options import (
     RecordingArgument,
     TopicsOption,
     WorkersOption,
-    diagnosis_progress,
     print_json,
     refuse_given,
 )
@@ -128,7 +129,7 @@ def diagnose(
         from cablesense_gap.report.page import write_robot_diagnosis
         from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
-        from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.recording import read_robot_recording
         from cablesense_gap.robot.system import diagnose as make
 
         refuse_given(context, ["arm", "columns"], "with --model")
@@ -136,14 +137,15 @@ def diagnose(
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
         read = partial(
-            read_recording, robot=robot, topics=topic or (), efforts=effort or (), force=force
+            read_robot_recording,
+            robot=robot,
+            topics=topic or (),
+            efforts=effort or (),
+            force=force,
         )
         inputs = [path for path in (recording, robot.path, reference) if path]
         settings = [bandwidth, forward, zeroed, positions, topic, effort, sorted(beside.items())]
-        with (
-            resumable(out, inputs, settings, console) as kept,
-            diagnosis_progress(console) as progress,
-        ):
+        with resumable(out, inputs, settings, console) as kept, _diagnosis_progress() as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
             of_reference = () if healthy is None else healthy.notes
@@ -184,6 +186,12 @@ def _next(step: NextStep) -> str:
     return f"Next: {step.title.lower()}: {step.command}"
 
 
+def _diagnosis_progress() -> AbstractContextManager[StagedProgress]:
+    from cablesense_gap.diagnosis.duration import STAGES
+
+    return staged_progress(STAGES)
+
+
 def _refuse_forward(context: typer.Context, positions: str) -> None:
     if positions == "external":
         refuse_given(context, ["forward"], "with --positions external")
@@ -205,8 +213,8 @@ def _diagnosed_arm(
     from cablesense_gap.report.next_step import Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -219,7 +227,7 @@ def _diagnosed_arm(
     inputs = [path for path in (recording, arm_file, reference, columns) if path]
     with (
         resumable(out, inputs, ["diagnose", topics], console) as kept,
-        diagnosis_progress(console) as progress,
+        _diagnosis_progress() as progress,
     ):
         diagnosis = make(
             recorded,
@@ -287,14 +295,14 @@ def predict(
     else:
         from cablesense_gap.robot.amending import load_amended
         from cablesense_gap.robot.preparation import prepared
-        from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.recording import read_robot_recording
         from cablesense_gap.robot.system import RobotSystem, write_prediction
 
         refuse_given(context, ["arm", "settle"], "with --model")
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot, topic or (), efforts=effort or ())
+        recorded = read_robot_recording(recording, robot, topic or (), efforts=effort or ())
         external = positions == "external"
         motion = prepared(recorded, robot, bandwidth, forward, zeroed=zeroed, external=external)
         system = RobotSystem(robot, motion, beside)
@@ -325,8 +333,8 @@ def _predicted_arm(
     """Figures, and lines for people."""
     from cablesense_gap.amended_arm import find_amended
     from cablesense_gap.arm_simulator import counted_rows, settled
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.csv_file import write_csv
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 
@@ -339,7 +347,7 @@ def _predicted_arm(
         raise CableSenseError(
             f"--settle {settle}: {recording} has {rows} rows; leave some to predict"
         )
-    with console.status("predicting"):
+    with status("predicting"):
         described = settled(described, recorded, settle)
         tensions_n = replay_arm(described, recorded.course)
     write_csv(out, replace(recorded, tensions_n=tensions_n))
@@ -395,7 +403,7 @@ def adapt(
     from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
-    from cablesense_recording.checks import read_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -413,7 +421,7 @@ def adapt(
     with (
         resumable(out, (recording, arm_file), ["adapt", topic], console) as kept,
         tempfile.TemporaryDirectory() as folder,
-        diagnosis_progress(console) as progress,
+        _diagnosis_progress() as progress,
     ):
         adaptation = make(
             recorded,

@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
+from cablesense_base.progress import status
 from cablesense_ros.cli.options import (
     DaskOption,
     DurationOption,
@@ -230,7 +231,8 @@ def record(
     record_topics(out, INPUTS, duration, description, console, force=force)
     if description is None:
         return
-    from cablesense_recording.checks import check_recording, read_recording
+    from cablesense_recording.checks import check_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_recording.recording import rows_to_use
     from cablesense_sim.replay import replay_arm
 
@@ -296,7 +298,7 @@ def watch(
         incoming = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
     verdicts: list[Verdict] = []
     for path in later:
-        with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
+        with status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
             verdicts.append(next(incoming))
     write_drift(out, verdicts)
     if json_output:
@@ -314,7 +316,7 @@ def watch(
 
 
 def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
-    from cablesense_recording.checks import read_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import open_arm
 
     nominal = open_arm(arm)
@@ -323,10 +325,10 @@ def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
 
 def _of_robot(model: Path, topics: Sequence[str], efforts: Sequence[str]) -> _Machine:
     from cablesense_gap.robot.amending import load_amended
-    from cablesense_gap.robot.recording import read_recording
+    from cablesense_gap.robot.recording import read_robot_recording
 
     robot, beside = load_amended(model)
-    read = partial(read_recording, robot=robot, topics=topics, efforts=efforts)
+    read = partial(read_robot_recording, robot=robot, topics=topics, efforts=efforts)
     return read, _robot_verdict, (robot, beside)
 
 

@@ -1,17 +1,15 @@
-"""What verbs share: options, their refusal, progress, and results as JSON or as tables."""
+"""What verbs share: options, their refusal, and results as JSON or as tables."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column, Table
+from rich.table import Table
 
 from cablesense_base import CableSenseError
 from cablesense_ros.cli.wording import worded
@@ -103,82 +101,6 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
 def _given(value: Any, parameter: Any) -> bool:
     """Whether a value is other than the default; a list without one begins empty."""
     return value != parameter.default and value not in ([], ())
-
-
-def task_bars(console: Console) -> Progress:
-    """Bars of tasks with their descriptions, the time that they have taken, and the time left."""
-    times = (TimeElapsedColumn(), TextColumn("about"), TimeRemainingColumn(), TextColumn("left"))
-    columns = (TextColumn("{task.description:36}"), BarColumn(bar_width=20), *times)
-    return Progress(*columns, console=console, speed_estimate_period=3600.0)
-
-
-class DiagnosisProgress:
-    """What a diagnosis does, on a console: a bar for each stage, findings, and the time before.
-
-    How many hypotheses a stage will try is open, so no bar states a time that is left; the time
-    of all is announced once, before the search.
-    """
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._stage = -1
-        self._task = progress.add_task("reading", total=None)
-
-    def show(self, doing: str, done: float) -> None:
-        """Take the present step, and the share of the whole that is done."""
-        from cablesense_gap.diagnosis.duration import STAGES
-
-        if done <= 0.0 and self._stage < 0:  # what comes before the search
-            self._progress.update(self._task, description=_one_line(doing))
-            return
-        stage = next(k for k, (_, end) in enumerate(STAGES) if done < end or end == 1.0)
-        if stage != self._stage:
-            self._progress.update(self._task, total=1.0, completed=1.0)
-            self._progress.stop_task(self._task)
-            self._task = self._progress.add_task(STAGES[stage][0], total=1.0)
-            self._stage = stage
-        begin = STAGES[stage - 1][1] if stage else 0.0
-        share = (done - begin) / (STAGES[stage][1] - begin)
-        name, _ = STAGES[stage]
-        self._progress.update(
-            self._task, description=_one_line(f"{name}: {doing}"), completed=min(share, 1.0)
-        )
-
-    def warn(self, finding: str) -> None:
-        """Take a finding of the recording's checks."""
-        self._progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
-
-    def announce(self, seconds: float) -> None:
-        """Take the time that the search will take."""
-        line = f"This takes about {duration_text(seconds)}."
-        self._progress.console.print(line, highlight=False)
-
-
-_DOING_LETTERS = 48
-
-
-def _one_line(doing: str) -> str:
-    text = doing.replace("_", " ")
-    return text if len(text) <= _DOING_LETTERS else f"{text[: _DOING_LETTERS - 1]}…"
-
-
-def duration_text(seconds: float) -> str:
-    """`20 s`, `4 min`: a time that is known to a factor."""
-    if seconds < 100.0:
-        return f"{max(10.0 * round(seconds / 10.0), 10.0):.0f} s"
-    return f"{round(seconds / 60.0)} min"
-
-
-@contextmanager
-def diagnosis_progress(console: Console) -> Iterator[DiagnosisProgress]:
-    """The progress of a diagnosis, drawn while the context lasts."""
-    columns = (
-        TextColumn("{task.description}", table_column=Column(width=_DOING_LETTERS)),
-        BarColumn(bar_width=20),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        yield DiagnosisProgress(progress)
 
 
 def print_notes(notes: Iterable[str], as_json: bool) -> None:

@@ -26,7 +26,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cablesense_online.can.channel_map import SensorCalibration
+    from cablesense_online.can.channel_map import SensorScales
     from cablesense_online.sensor_check import SensorExpectation, SensorReport
 
 
@@ -79,7 +79,7 @@ def calibrate(
 
     from cablesense_online import sensor_calibration
     from cablesense_online.can import channel_map as maps
-    from cablesense_recording.checks import read_recording
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import open_arm
 
     output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
@@ -87,8 +87,8 @@ def calibrate(
     as_recorded = described
     recorded = None
     if recorded_with is not None:
-        earlier = maps.load_calibration(recorded_with)
-        as_recorded = maps.calibrated(described, database, earlier, str(recorded_with))
+        earlier = maps.load_sensor_scales(recorded_with)
+        as_recorded = maps.with_sensor_scales(described, database, earlier, str(recorded_with))
     if recording is not None:
         of_arm = open_arm(arm)
         recorded = read_recording(recording, of_arm, topic or ())
@@ -112,7 +112,7 @@ def calibrate(
         cables[cable] = sensor_calibration.calibrate_sensor(
             cable, described.channels[cable], database, force_n, raw, common_relative_u
         )
-    calibration = maps.SensorCalibration(
+    scales = maps.SensorScales(
         map=described.name,
         made=datetime.now(UTC).replace(microsecond=0),
         gravity_m_s2=gravity_m_s2 if weighed else None,
@@ -120,23 +120,23 @@ def calibrate(
         uncalibrated=tuple(cable for cable in described.channels if cable not in cables),
         cables=cables,
     )
-    maps.write_calibration(out, calibration)
+    maps.write_sensor_scales(out, scales)
     print_notes(() if recorded is None else recorded.notes, json_output)
     if json_output:
-        print(calibration.model_dump_json(indent=2))
+        print(scales.model_dump_json(indent=2))
         return
     console = Console()
-    console.print(_calibration_table(calibration))
+    console.print(_scales_table(scales))
     if common_relative_u:
         console.print("Give --gravity: without it, masses are forces to 0.3 % only.")
-    if calibration.uncalibrated:
-        console.print(f"Not calibrated: {', '.join(calibration.uncalibrated)}", soft_wrap=True)
+    if scales.uncalibrated:
+        console.print(f"Not calibrated: {', '.join(scales.uncalibrated)}", soft_wrap=True)
     console.print(
         f"{out}: give it to can_driver as -p sensor_calibration_file:={out}", soft_wrap=True
     )
 
 
-def _calibration_table(calibration: SensorCalibration) -> Table:
+def _scales_table(scales: SensorScales) -> Table:
     headings = (
         *("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"),
         *("nonlinearity", "hysteresis", "repeatability"),
@@ -153,7 +153,7 @@ def _calibration_table(calibration: SensorCalibration) -> Table:
             _newtons(sensor.hysteresis_n),
             _newtons(sensor.repeatability_n),
         )
-        for cable, sensor in calibration.cables.items()
+        for cable, sensor in scales.cables.items()
     ]
     title = "± is 95 %; all else in N"
     return titled_table(title, "cable", *headings, right=headings, rows=rows)
@@ -208,8 +208,8 @@ def check(
     from rich.console import Console
 
     from cablesense_online.sensor_check import check_sensors, expectation
-    from cablesense_recording.checks import read_recording
     from cablesense_recording.column_map import read_column_map
+    from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)

@@ -140,7 +140,7 @@ def dataset(
         command=command_line("dataset", command),
         workers=workers,
         dask_scheduler=dask_scheduler,
-        show_progress=not json_output,
+        show_progress=True,
     )
     took_s = time.perf_counter() - started
     statistics = {"out": str(out), "arm": description.identity, **asdict(summary)}
@@ -237,11 +237,11 @@ def train(
     description = load_arm(arm_file)
     if data is None:
         training = model_training.draw_training_data(
-            description, network, drawn, seed, show_progress=not json_output
+            description, network, drawn, seed, show_progress=True
         )
     else:
         training = read_dataset(data, description)
-    with progress_bar(settings.epochs, shown=not json_output, what="epochs") as advance:
+    with progress_bar(settings.epochs, what="epochs") as advance:
 
         def on_epoch(record: EpochRecord) -> None:
             advance(1, f"loss {record.total:.4f}, held out {record.validation:.4f}")

@@ -32,6 +32,12 @@ _LOW = 0.025
 """Lower end of the 95 % intervals, as a probability."""
 _HIGH = 0.975
 """Upper end of the 95 % intervals, as a probability."""
+_Y = 1
+_Z = 2
+"""Rows of the lateral components in a covariance (3, 3) of the force."""
+_BY_Y = 4
+_BY_Z = 5
+"""Rows of the moments by these in the covariance (6, 6) of place, force (3) and moments (2)."""
 _ZERO_VARIANCE_N2_M2 = 1e-18
 """Variance, (N·m)², that counts as zero: its root has no derivative there."""
 
@@ -99,9 +105,13 @@ class ContactStatement(nn.Module):
         self.earlier = constant(np.tril(np.ones((len(length_m), len(length_m))), -1).T)
         self.to_covariance = constant(_to_covariance())
         self.around_axes = constant(np.array([[0.0, 1.0], [-1.0, 0.0]]))
-        self.moment_variances = constant(np.array([35, 28]))
-        self.lateral_variances = constant(np.array([5, 9]))
-        self.lateral_entries = constant(np.array([4, 8]))
+        # where variances stand in covariances that are laid flat, (6, 6) and (3, 3)
+        around_y = _flat(_BY_Z, 6)  # a force along z has its moment around y
+        around_z = _flat(_BY_Y, 6)
+        lateral = np.array([_flat(_Y, 3), _flat(_Z, 3)])
+        self.moment_variances = constant(np.array([around_y, around_z]))
+        self.lateral_entries = constant(lateral)
+        self.lateral_variances = constant(1 + lateral)  # behind the variance of the place
         self.grid_shape = (-1, 20, PLACES)
         self.unfelt = None if felt_across is None else constant(_unfelt_covariance(felt_across))
 
@@ -266,6 +276,11 @@ def _unfelt_covariance(felt_across: Matrix) -> Matrix:
     covariance = np.zeros((len(felt_across), 4, 4))
     covariance[:, 2:, 2:] = LARGEST_N**2 * (np.eye(2) - felt_across)
     return covariance.reshape(-1, 16)
+
+
+def _flat(row: int, size: int) -> int:
+    """Where the variance of a row stands in a covariance (size, size) that is laid flat."""
+    return row * size + row
 
 
 def _to_covariance() -> Matrix:

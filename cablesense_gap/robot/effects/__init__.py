@@ -1,4 +1,4 @@
-"""Effects of a robot: their base; `amending.known_effects` finds those of the modules here."""
+"""Effects of a robot: their base; `amending.known_robot_effects` finds those of the modules."""
 
 from __future__ import annotations
 

@@ -14,8 +14,9 @@ from cablesense_gap.arm_simulator import counted_rows
 from cablesense_plants.__main__ import app
 from cablesense_plants.arm.blind_cases import make_case, record_cases
 from cablesense_plants.arm.body import PlantError, read_nominal
-from cablesense_recording.checks import check_recording, read_recording
+from cablesense_recording.checks import check_recording
 from cablesense_recording.csv_file import read_csv
+from cablesense_recording.reading import read_recording
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import replay_arm
 from tests.helpers.arm_variants import variant

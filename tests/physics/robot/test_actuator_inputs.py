@@ -12,7 +12,7 @@ from cablesense_gap.robot.inverse import Servos
 from cablesense_gap.robot.model import actuated, load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, wrong_columns
 from cablesense_gap.simulator import Term
 from cablesense_recording.recording import RecordingError
@@ -51,7 +51,7 @@ def commanded(path, robot):
         columns["command.elbow"] = position[:, 1] + (torque[:, 1] + back_emf) / 40.0
         tables.append(pd.DataFrame(columns))
     pd.concat(tables).to_csv(path, index=False)
-    return read_recording(path, robot)
+    return read_robot_recording(path, robot)
 
 
 def test_inputs_have_names_of_their_own(robot):

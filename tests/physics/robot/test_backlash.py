@@ -7,7 +7,7 @@ import pytest
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 
@@ -66,7 +66,7 @@ def recording(tmp_path_factory):
         "command.motor": table[:, 2],
     }
     pd.DataFrame(columns).to_csv(folder / "run.csv", index=False)
-    return read_recording(folder / "run.csv", robot), robot
+    return read_robot_recording(folder / "run.csv", robot), robot
 
 
 @pytest.mark.parametrize("forward", [False, True])

@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
@@ -32,7 +32,7 @@ def leapt(table, seconds):
 def test_a_leap_of_time_does_not_change_the_verdict(tmp_path, table, seconds):
     robot = load_robot(write_model(tmp_path))
     leapt(table, seconds).to_csv(tmp_path / "leapt.csv", index=False)
-    diagnosis = diagnose(read_recording(tmp_path / "leapt.csv", robot), robot)
+    diagnosis = diagnose(read_robot_recording(tmp_path / "leapt.csv", robot), robot)
     assert diagnosis.verdict.effects == ("joint_friction",)
     assert diagnosis.verdict.where.joints == ("elbow",)
     assert any("the trial is parted there" in finding for finding in diagnosis.findings)

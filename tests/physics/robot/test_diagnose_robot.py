@@ -13,7 +13,7 @@ from cablesense_gap.robot.doubts import starts_at_zero
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
@@ -29,7 +29,7 @@ def model(tmp_path):
 def found_in(tmp_path, model, **planted):
     path = recorded(tmp_path / "recording.csv", **planted)
     robot = load_robot(model)
-    return diagnose(read_recording(path, robot), robot).verdict
+    return diagnose(read_robot_recording(path, robot), robot).verdict
 
 
 def test_the_closed_form_and_mujoco_agree():
@@ -71,7 +71,7 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
 def test_losses_count_by_the_drives_torque_or_by_the_joints(tmp_path, model):
     robot = load_robot(model)
     part = 0.2
-    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    motion = prepared(read_robot_recording(recorded(tmp_path / "recording.csv"), robot), robot)
     dynamics = InverseDynamics(robot, motion)
     place = ("load_friction", "elbow")
     needed = dynamics.torques(robot.nominal())[:, 1]
@@ -86,7 +86,7 @@ def test_losses_count_by_the_drives_torque_or_by_the_joints(tmp_path, model):
 def test_torques_in_another_unit_are_told(tmp_path, model):
     path = recorded(tmp_path / "recording.csv", read=lambda torque: torque * [1.0, 1e3])
     robot = load_robot(model)
-    system = RobotSystem(robot, prepared(read_recording(path, robot), robot), {})
+    system = RobotSystem(robot, prepared(read_robot_recording(path, robot), robot), {})
     doubts = system.doubtful()
     assert len(doubts) == 1
     assert doubts[0].startswith("torque.elbow is 1e+03 times")
@@ -104,7 +104,7 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
     sizes = zip(("shoulder", "elbow"), (0.1, 0.08), strict=True)
     friction = {Term("joint_friction", joint, "torque_n_m"): size for joint, size in sizes}
     for zeroed in (False, True):
-        motion = prepared(read_recording(path, robot), robot, zeroed=zeroed)
+        motion = prepared(read_robot_recording(path, robot), robot, zeroed=zeroed)
         gaps = RobotSystem(robot, motion, friction).gaps()
         zeros[zeroed] = max(gap for _, _, gap, _ in gaps)
     assert zeros[False] > 3.0 * zeros[True]
@@ -114,12 +114,12 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
 def test_trials_that_begin_at_zero_are_told(tmp_path, model):
     robot = load_robot(model)
     path = recorded(tmp_path / "recording.csv")
-    assert not starts_at_zero(read_recording(path, robot))
+    assert not starts_at_zero(read_robot_recording(path, robot))
     table = pd.read_csv(path)
     joints = ["position.shoulder", "position.elbow"]
     table[joints] -= table.groupby("trial")[joints].transform("first")
     table.to_csv(path, index=False)
-    (said,) = starts_at_zero(read_recording(path, robot))
+    (said,) = starts_at_zero(read_robot_recording(path, robot))
     assert "--zeroed" in said
 
 
@@ -129,7 +129,7 @@ def test_with_the_amended_model_nothing_is_left_to_find(tmp_path, model):
         tmp_path / "recording.csv", friction=(0.1, 0.0), read=lambda torque: torque * [1.0, 1.2]
     )
     robot = load_robot(model)
-    first = diagnose(read_recording(path, robot), robot)
+    first = diagnose(read_robot_recording(path, robot), robot)
     verdict = first.verdict
     assert verdict.effects == ("joint_friction", "torque_scale")
     assert verdict.where.joints == ("shoulder", "elbow")
@@ -138,7 +138,7 @@ def test_with_the_amended_model_nothing_is_left_to_find(tmp_path, model):
     assert verdict.gap.removed_fraction > 0.95
     write_amended(tmp_path, robot, first.amended, {})
     amended, beside = load_amended(tmp_path)
-    second = diagnose(read_recording(path, amended), amended, beside)
+    second = diagnose(read_robot_recording(path, amended), amended, beside)
     assert second.verdict.effects == ("none",)
     (stands,) = second.verdict.earlier  # friction is in the MJCF
     assert (stands.effect, stands.places) == ("torque_scale", ("elbow",))

@@ -10,7 +10,7 @@ from cablesense_base.installation import config_path
 from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.model import gravity_torque, inverse_dynamics, load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_recording.recording import RecordingError
 from tests.helpers.two_link import motion, recorded, torques, write_model
@@ -141,7 +141,7 @@ CONSTANTS = {"shoulder": 0.12, "elbow": 0.8}
 @pytest.mark.slow
 def test_columns_of_currents_are_brought_to_torques_and_their_constants_fitted(tmp_path, robot):
     path = changed_table(tmp_path, in_amperes(CONSTANTS), friction=(0.0, 0.2))
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert any("torque constant is unknown" in note for note in recording.notes)
     diagnosis = diagnose(recording, robot)
     assert diagnosis.verdict.effects == ("joint_friction",)
@@ -154,15 +154,15 @@ def test_columns_of_currents_are_brought_to_torques_and_their_constants_fitted(t
 
 def test_a_current_whose_constant_is_stated_is_that_torque(tmp_path, robot):
     path = changed_table(tmp_path, in_amperes(CONSTANTS))
-    whole = read_recording(tmp_path / "whole.csv", robot)
+    whole = read_robot_recording(tmp_path / "whole.csv", robot)
     stated = ["shoulder=current:0.12", "elbow=current:0.8"]
-    recording = read_recording(path, robot, efforts=stated)
+    recording = read_robot_recording(path, robot, efforts=stated)
     np.testing.assert_allclose(recording.torque, whole.torque, rtol=1e-6)
 
 
 def test_gravity_is_added_where_a_column_or_an_option_says_that_it_lacks(tmp_path, robot):
     changed_table(tmp_path, lambda table: table)
-    whole = read_recording(tmp_path / "whole.csv", robot)
+    whole = read_robot_recording(tmp_path / "whole.csv", robot)
     gravity = gravity_torque(robot.model, whole.position)
 
     def without(word):
@@ -174,9 +174,11 @@ def test_gravity_is_added_where_a_column_or_an_option_says_that_it_lacks(tmp_pat
 
         return change
 
-    by_column = read_recording(changed_table(tmp_path, without("torque_without_gravity")), robot)
+    by_column = read_robot_recording(
+        changed_table(tmp_path, without("torque_without_gravity")), robot
+    )
     path = changed_table(tmp_path, without("torque"))
-    by_option = read_recording(path, robot, efforts=["torque_without_gravity"])
+    by_option = read_robot_recording(path, robot, efforts=["torque_without_gravity"])
     for recording in (by_column, by_option):
         np.testing.assert_allclose(recording.torque, whole.torque, atol=1e-4)
         assert any("the model's is added" in note for note in recording.notes)
@@ -196,8 +198,8 @@ def test_of_a_torque_and_a_current_the_torque_is_read(tmp_path, robot):
         tmp_path,
         lambda t: t.assign(**{"current.elbow": 1.0, "current.fan": 2.0, "current.shoulder": 3.0}),
     )
-    recording = read_recording(path, robot)
-    whole = read_recording(tmp_path / "whole.csv", robot)
+    recording = read_robot_recording(path, robot)
+    whole = read_robot_recording(tmp_path / "whole.csv", robot)
     np.testing.assert_array_equal(recording.torque, whole.torque)
 
 
@@ -213,14 +215,14 @@ def test_of_a_torque_and_a_current_the_torque_is_read(tmp_path, robot):
 def test_a_statement_that_says_nothing_is_refused(tmp_path, robot, statement, said):
     path = recorded(tmp_path / "whole.csv", trials=1)
     with pytest.raises(RecordingError, match="--effort") as refused:
-        read_recording(path, robot, efforts=[statement])
+        read_robot_recording(path, robot, efforts=[statement])
     assert said in str(refused.value)
 
 
 def test_a_column_that_says_otherwise_than_the_option_is_refused(tmp_path, robot):
     path = changed_table(tmp_path, in_amperes(CONSTANTS))
     with pytest.raises(RecordingError, match="a column current is stated to be torque"):
-        read_recording(path, robot, efforts=["torque"])
+        read_robot_recording(path, robot, efforts=["torque"])
 
 
 @pytest.fixture(scope="module")

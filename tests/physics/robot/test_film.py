@@ -13,7 +13,7 @@ from cablesense_gap.report import film
 from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import ChannelGap
@@ -41,7 +41,7 @@ def rubbing(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rubbing")
     robot = load_robot(write_model(folder))
     recording = recorded(folder / "recording.csv", friction=(0.0, FRICTION_N_M), noise_n_m=1e-4)
-    motion = prepared(read_recording(recording, robot), robot)
+    motion = prepared(read_robot_recording(recording, robot), robot)
     system = RobotSystem(robot, motion, {})
     amended = {Term("joint_friction", "elbow", "torque_n_m"): FRICTION_N_M}
     before, after = (system.predict([effects])[0] * system.scale for effects in ({}, amended))

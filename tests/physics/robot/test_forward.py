@@ -10,7 +10,7 @@ from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.doubts import beyond_range, servos_read
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_recording.recording import RecordingError
@@ -28,7 +28,7 @@ def commanded(tmp_path, robot, **planted):
     table = pd.read_csv(path)
     table.columns = [name.replace("torque.", "command.") for name in table]
     table.to_csv(path, index=False)
-    return read_recording(path, robot)
+    return read_robot_recording(path, robot)
 
 
 def compared(recording, robot, forward=None):
@@ -63,7 +63,7 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     wave = np.sin(2.0 * np.pi * 0.5 * time_s)
     table = {"time_s": time_s, "position.x": wave, "command.pull": -mass * np.pi**2 * wave}
     pd.DataFrame(table).to_csv(tmp_path / "slide.csv", index=False)
-    motion = compared(read_recording(tmp_path / "slide.csv", slide), slide)
+    motion = compared(read_robot_recording(tmp_path / "slide.csv", slide), slide)
     as_asked = motion.predicted(slide.nominal())
     assert as_asked == pytest.approx(motion.readings, abs=0.01 * np.abs(motion.readings).max())
     less = changed(slide, [{Term("torque_offset", "x", "torque_n_m"): force}])  # read, not given
@@ -90,7 +90,7 @@ def servo(tmp_path, kp):
         "command.servo": wave + 0.01 * np.cos(0.4 * time_s),
     }
     pd.DataFrame(table).to_csv(tmp_path / "servo.csv", index=False)
-    return slide, read_recording(tmp_path / "servo.csv", slide)
+    return slide, read_robot_recording(tmp_path / "servo.csv", slide)
 
 
 def test_the_floor_of_a_stiff_servo_is_what_its_stiffness_allows(tmp_path):

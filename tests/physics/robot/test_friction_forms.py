@@ -5,12 +5,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from cablesense_gap.report.text import cause
-from cablesense_gap.robot.amending import known_effects
+from cablesense_gap.robot.amending import known_robot_effects
 from cablesense_gap.robot.friction_forms import FRICTION, PART_OF
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.motion import Stribeck, Trajectory
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_plants.robot.bristles import Bristles
 from tests.helpers.two_link import RATE_HZ, motion, recorded, torques, write_model
@@ -62,7 +62,7 @@ def test_every_number_of_friction_has_its_part_of_a_law_or_explicitly_none(tmp_p
     robot = load_robot(write_model(tmp_path))
     lost_n_m = of_bristles(SOFT)
     scale = prepared(elbow_recording(robot, lost_n_m, trials=2), robot).scale
-    effects = [known_effects()[name] for name in FRICTION]
+    effects = [known_robot_effects()[name] for name in FRICTION]
     numbers = {
         parameter.name
         for effect in effects
@@ -74,7 +74,7 @@ def test_every_number_of_friction_has_its_part_of_a_law_or_explicitly_none(tmp_p
 def test_forward_in_time_the_law_is_of_those_that_the_comparison_has(tmp_path):
     robot = load_robot(write_model(tmp_path))
     path = recorded(tmp_path / "recording.csv", seed=4, friction=(0.2, 0.1))
-    verdict = diagnose(read_recording(path, robot), robot, forward=True).verdict
+    verdict = diagnose(read_robot_recording(path, robot), robot, forward=True).verdict
     assert verdict.effects == ("joint_friction",)
     assert {form.law for form in verdict.forms.values()} == {"Coulomb"}
 

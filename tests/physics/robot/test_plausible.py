@@ -6,7 +6,7 @@ from robot_sets import lifted
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Gap
@@ -21,7 +21,7 @@ def robot(tmp_path_factory):
 @pytest.fixture(scope="module")
 def system(tmp_path_factory, robot):
     path = recorded(tmp_path_factory.mktemp("recording") / "recording.csv", trials=5)
-    return RobotSystem(robot, prepared(read_recording(path, robot), robot), {})
+    return RobotSystem(robot, prepared(read_robot_recording(path, robot), robot), {})
 
 
 @pytest.mark.slow  # whole searches

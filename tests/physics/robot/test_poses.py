@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_msgs_py.topics import CABLE_TENSIONS
@@ -58,7 +58,7 @@ def tracked(robot, path, frames=("tip",), parts=7, noise_m=0.0, **planted):
 
 def read(robot, path, table):
     table.to_csv(path / "tracked.csv", index=False)
-    return read_recording(path / "tracked.csv", robot)
+    return read_robot_recording(path / "tracked.csv", robot)
 
 
 @pytest.mark.parametrize("parts", [7, 3])
@@ -199,7 +199,7 @@ def tracker_bag(robot, path, kind, parents=("base_link",)):
 @pytest.mark.parametrize("kind", KINDS)
 def test_poses_and_efforts_of_a_bag_give_positions_and_torques(robot, tmp_path, kind):
     path, position, efforts = tracker_bag(robot, tmp_path, kind)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     rows = len(recording)
     assert rows >= len(position) - 1
     np.testing.assert_allclose(recording.position, position[:rows], atol=1e-5)
@@ -214,11 +214,11 @@ def test_poses_in_several_axes_are_refused(robot, tmp_path):
     kind = "tf2_msgs/msg/TFMessage"
     path, _, _ = tracker_bag(robot, tmp_path, kind, ("base_link", "camera"))
     with pytest.raises(RecordingError, match="in the axes of base_link and of camera; record one"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
 
 
 @pytest.mark.slow
 def test_transforms_from_link_to_link_are_no_poses(robot, tmp_path):
     path, _, _ = tracker_bag(robot, tmp_path, "tf2_msgs/msg/TFMessage", ("upper",))
     with pytest.raises(RecordingError, match="holds no sensor_msgs/msg/JointState with"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)

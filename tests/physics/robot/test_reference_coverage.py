@@ -6,7 +6,7 @@ import pytest
 from cablesense_gap.report.text import coverage_sentence, headline
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.simulator import Term
 from tests.helpers.two_link import worn, write_model
@@ -24,7 +24,7 @@ def since(tmp_path):
             worn(tmp_path / "healthy.csv", 1, **healthy),
             worn(tmp_path / "later.csv", 3, **later),
         )
-        reference, recording = (read_recording(path, robot) for path in paths)
+        reference, recording = (read_robot_recording(path, robot) for path in paths)
         return diagnose(recording, robot, reference=reference)
 
     return diagnosed

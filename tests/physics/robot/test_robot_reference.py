@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from cablesense_gap.reference import Reference, problem_since
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import problem_of
@@ -22,7 +22,7 @@ from tests.helpers.two_link import worn, write_model
 @pytest.mark.slow
 def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_path):
     robot = load_robot(write_model(tmp_path))
-    later = read_recording(worn(tmp_path / "later.csv", 3, payload=0.5), robot)
+    later = read_robot_recording(worn(tmp_path / "later.csv", 3, payload=0.5), robot)
     loaded = diagnose(later, robot).verdict
     assert loaded.effects == ("payload",)
     assert loaded.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.2)
@@ -64,7 +64,7 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
     robot = load_robot(write_model(tmp_path))
 
     def system(name, *seed, **planted):
-        recording = read_recording(worn(tmp_path / name, *seed, **planted), robot)
+        recording = read_robot_recording(worn(tmp_path / name, *seed, **planted), robot)
         return RobotSystem(robot, prepared(recording, robot), {})
 
     reference = Reference(system("healthy.csv", 1))

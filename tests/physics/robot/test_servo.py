@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from cablesense_gap.robot.amending import amended_xml
 from cablesense_gap.robot.inverse import Servos
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
@@ -92,7 +92,7 @@ def test_what_is_between_command_and_joint_is_named_and_sized(
     planted, effect, place, number, value, model, tmp_path
 ):
     robot = load_robot(model)
-    recording = read_recording(seen(tmp_path / "seen.csv", **planted), robot)
+    recording = read_robot_recording(seen(tmp_path / "seen.csv", **planted), robot)
     verdict = diagnose(recording, robot, external=True).verdict
     assert verdict.effects == (effect,)
     assert verdict.probability > 0.5
@@ -105,7 +105,7 @@ def test_what_is_between_command_and_joint_is_named_and_sized(
 @pytest.mark.parametrize(("play", "effect"), [(0.0, "none"), (0.05, "backlash")])
 def test_play_is_told_from_a_robot_that_follows_its_commands(play, effect, model, tmp_path):
     robot = load_robot(model)
-    recording = read_recording(seen(tmp_path / "seen.csv", play=(play, 0.0)), robot)
+    recording = read_robot_recording(seen(tmp_path / "seen.csv", play=(play, 0.0)), robot)
     assert diagnose(recording, robot, external=True).verdict.effects == (effect,)
 
 

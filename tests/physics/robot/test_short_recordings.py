@@ -5,7 +5,7 @@ import pytest
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_recording.recording import RecordingError
 from tests.helpers.two_link import recorded, write_model
 
@@ -16,7 +16,7 @@ def of_seconds(folder, seconds):
     path = folder / "short.csv"
     whole[whole.time_s - whole.time_s[0] < seconds].to_csv(path, index=False)
     robot = load_robot(write_model(folder))
-    return read_recording(path, robot), robot
+    return read_robot_recording(path, robot), robot
 
 
 def test_a_short_recording_is_compared_up_to_a_higher_frequency(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_online.can.channel_map import calibrated, load_calibration
+from cablesense_online.can.channel_map import load_sensor_scales, with_sensor_scales
 from cablesense_recording.csv_file import write_csv
 from cablesense_ros.cli.app import app
 from tests.helpers.bags import write_mcap
@@ -76,8 +76,8 @@ def test_the_file_is_one_that_the_driver_takes(loads, tmp_path):
     result = run_calibrate(loads, "--out", out, "--gravity", "9.81")
     assert result.exit_code == 0, result.output
     assert "Not calibrated: cable_3" in result.output
-    calibration = load_calibration(out)
-    channels = calibrated(PACKED, PACKED_DATABASE, calibration, "c").channels
+    calibration = load_sensor_scales(out)
+    channels = with_sensor_scales(PACKED, PACKED_DATABASE, calibration, "c").channels
     assert channels["cable_2"].scale_n_per_unit == pytest.approx(SCALE, rel=1e-6)
     assert channels["cable_2"].zero == pytest.approx(ZERO, rel=1e-6)
     assert channels["cable_12"] == PACKED.channels["cable_12"]
@@ -106,7 +106,7 @@ def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_p
     recorded = ("--recording", tmp_path / "run.csv", "--recorded-with", in_force)
     result = run_calibrate(loads, "--out", out, "--gravity", "9.81", *recorded)
     assert result.exit_code == 0, result.output
-    (sensor,) = load_calibration(out).cables.values()
+    (sensor,) = load_sensor_scales(out).cables.values()
     assert sensor.scale_n_per_unit == pytest.approx(0.5, rel=1e-4)
     assert sensor.zero == pytest.approx(75.0, rel=1e-4)
 

@@ -11,10 +11,10 @@ from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from cablesense_online.can.channel_map import (
-    CalibratedSensor,
-    SensorCalibration,
+    ScaledSensor,
+    SensorScales,
     signal_conversion,
-    write_calibration,
+    write_sensor_scales,
 )
 from cablesense_sim.arm import open_arm
 from tests.helpers.can_frames import PACKED, PACKED_DATABASE
@@ -49,7 +49,7 @@ def emulator(link, start_for_all):
 def driver(link, emulator, start_for_all):
     channel = PACKED.channels["cable_2"]
     unit, factor, offset = signal_conversion(PACKED_DATABASE, channel)
-    sensor = CalibratedSensor(
+    sensor = ScaledSensor(
         message=channel.message,
         signal=channel.signal,
         signal_unit=unit,
@@ -62,8 +62,8 @@ def driver(link, emulator, start_for_all):
     made = datetime(2026, 3, 1, tzinfo=UTC)
     path = link.with_name("calibration.yaml")
     sensors = {"cable_2": sensor}
-    write_calibration(
-        path, SensorCalibration(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
+    write_sensor_scales(
+        path, SensorScales(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
     )
     bus = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
     return start_for_all("can_driver", sensor_calibration_file=path, **bus)

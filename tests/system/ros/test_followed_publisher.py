@@ -10,7 +10,7 @@ from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_online.page.live_machine import LiveMachine
 from cablesense_online.page.shown_arm import ShownArm
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 from cablesense_ros.machine_client import MachineClient
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm

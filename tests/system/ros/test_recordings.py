@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_online.replay import RecordedRun, replay_in_process
-from cablesense_recording.checks import read_recording
 from cablesense_recording.mcap_messages import McapMessages
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import RecordingError
 from cablesense_ros import recorder
 from cablesense_sim.arm import open_arm

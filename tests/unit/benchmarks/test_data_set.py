@@ -8,7 +8,7 @@ import data_set
 import pytest
 
 from cablesense_gap.scoring import read_answers
-from cablesense_recording.checks import read_recording
+from cablesense_recording.reading import read_recording
 from cablesense_sim.arm import load_arm
 
 

@@ -8,17 +8,17 @@ from pydantic import ValidationError
 from cablesense_base.installation import config_path
 from cablesense_base.plain_yaml import read_plain
 from cablesense_online.can.channel_map import (
-    CalibratedSensor,
     ChannelMap,
     ChannelMapError,
-    SensorCalibration,
-    calibrated,
+    ScaledSensor,
+    SensorScales,
     check_fit,
-    load_calibration,
+    load_sensor_scales,
     open_channel_map,
     parse_database,
     signal_conversion,
-    write_calibration,
+    with_sensor_scales,
+    write_sensor_scales,
 )
 from cablesense_sim.arm import open_arm
 from tests.helpers.can_frames import PACKED, PACKED_DATABASE, SINGLE
@@ -177,11 +177,11 @@ def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
         "scale_n_per_unit": 1.25,
         "zero": -3.0,
     }
-    return CalibratedSensor(**(values | changed))
+    return ScaledSensor(**(values | changed))
 
 
 def calibration(cables, uncalibrated=(), name=PACKED.name):
-    return SensorCalibration(
+    return SensorScales(
         map=name, made=datetime.now(UTC), uncalibrated=tuple(uncalibrated), cables=cables
     )
 
@@ -192,10 +192,10 @@ OTHERS = [cable for cable in PACKED.channels if cable not in TWO]
 
 
 def test_cables_get_their_scale_and_zero_and_uncalibrated_ones_keep_the_maps():
-    scaled_map = calibrated(PACKED, PACKED_DATABASE, calibration(WHOLE), "c.yaml")
+    scaled_map = with_sensor_scales(PACKED, PACKED_DATABASE, calibration(WHOLE), "c.yaml")
     assert scaled_map.cable_names == PACKED.cable_names
     assert {c.tension_n(5.0) for c in scaled_map.channels.values()} == {10.0}
-    scaled_map = calibrated(PACKED, PACKED_DATABASE, calibration(TWO, OTHERS), "c.yaml")
+    scaled_map = with_sensor_scales(PACKED, PACKED_DATABASE, calibration(TWO, OTHERS), "c.yaml")
     assert scaled_map.channels["cable_11"].zero == -3.0
     assert scaled_map.channels["cable_1"] == PACKED.channels["cable_1"]
 
@@ -214,7 +214,7 @@ def test_cables_get_their_scale_and_zero_and_uncalibrated_ones_keep_the_maps():
 )
 def test_what_was_not_made_for_this_map_is_refused(given, remedy):
     with pytest.raises(ChannelMapError, match=r"^c\.yaml: ") as refusal:
-        calibrated(PACKED, PACKED_DATABASE, given, "c.yaml")
+        with_sensor_scales(PACKED, PACKED_DATABASE, given, "c.yaml")
     assert remedy in str(refusal.value)
 
 
@@ -223,8 +223,8 @@ def test_what_is_written_is_read(tmp_path):
         update={"made": datetime(2026, 3, 1, 12, tzinfo=UTC)}
     )
     path = tmp_path / "calibration.yaml"
-    write_calibration(path, made)
-    assert load_calibration(path) == made
+    write_sensor_scales(path, made)
+    assert load_sensor_scales(path) == made
     assert "-p sensor_calibration_file" in path.read_text(encoding="utf-8")
     assert list(tmp_path.iterdir()) == [path]
 
@@ -241,6 +241,6 @@ def test_a_broken_calibration_is_refused_by_name(tmp_path, text, remedy):
     path = tmp_path / "c.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ChannelMapError, match=r"c\.yaml: ") as refusal:
-        load_calibration(path)
+        load_sensor_scales(path)
     assert remedy in str(refusal.value)
     assert "\n" not in str(refusal.value)

@@ -7,9 +7,9 @@ import yaml
 
 from cablesense_contact.unloaded_holds import unloaded_holds, with_held_positions
 from cablesense_msgs_py import topics
-from cablesense_recording.checks import read_recording
 from cablesense_recording.column_map import read_column_map
 from cablesense_recording.layout import layout_of
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import RecordingError
 from cablesense_sim.machine.machine import open_machine
 from tests.helpers.bags import Bag

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from cablesense_msgs_py import topics
 from cablesense_recording import mcap_file
-from cablesense_recording.checks import read_recording
+from cablesense_recording.column_map import ColumnMap
 from cablesense_recording.mcap_file import read_mcap
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -150,6 +151,41 @@ def test_without_stamps_the_time_of_arrival_counts(tmp_path):
         for i in range(3):
             put(writer, "tensions", 2 * S + i * S // 4, 0, *TENSIONS[1:])
     np.testing.assert_allclose(read_mcap(tmp_path / "a.mcap", LAB).time_s, [0.0, 0.25, 0.5])
+
+
+@pytest.mark.parametrize("columns", [None, ColumnMap()], ids=["contract", "map"])
+def test_a_fault_is_where_the_message_is_that_has_it(tmp_path, columns):
+    """The first three readings come before any command, and are no rows."""
+    path = tmp_path / "a.mcap"
+    with Bag(path) as writer:
+        for i in range(40):
+            at_ns = S + i * S // 10
+            if i == 3:
+                put(writer, "command", at_ns, at_ns, *COMMAND[1:])
+            stamp_ns = at_ns - 3 * S // 2 if i >= 30 else at_ns
+            put(writer, "tensions", at_ns, stamp_ns, *TENSIONS[1:])
+    with pytest.raises(RecordingError, match="in message 31 of the readings") as caught:
+        read_recording(path, LAB, columns=columns)
+    assert "runs back by 1.4 s" in str(caught.value)
+    assert "sort" not in str(caught.value)
+    assert "record again" in str(caught.value)
+
+
+def test_messages_keep_their_numbers_where_rows_are_left_out(tmp_path):
+    longer = [1e-5] * 12
+    path = bag(
+        tmp_path / "a.mcap",
+        TENSIONS,
+        COMMAND,
+        TENSIONS,
+        ("offsets", LAB.cable_names, longer),
+        TENSIONS,
+        ("offsets", LAB.cable_names, [0.0] * 12),
+        TENSIONS,
+    )
+    got = read_mcap(path, LAB)
+    assert got.message.tolist() == [2, 4]
+    assert got.rows(slice(1, None)).where(np.array([True])) == "message 4 of the readings"
 
 
 def test_a_folder_with_metadata_is_read_too(tmp_path):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cablesense_gap.protocol import rows_of, standard_protocol
-from cablesense_recording.checks import check_form, check_recording, read_recording
+from cablesense_recording.checks import check_form, check_recording
 from cablesense_recording.csv_file import write_csv
+from cablesense_recording.reading import read_recording
 from cablesense_recording.recording import EXCHANGED, Finding, RecordingError, refuse_unusable
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of

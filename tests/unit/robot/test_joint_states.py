@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_recording.recording import RecordingError
 from tests.helpers.bags import START_NS, Bag, write_joint_states
 from tests.helpers.two_link import JOINTS, XML, recorded, write_model
@@ -67,26 +67,28 @@ def test_of_two_topics_with_the_same_joints_neither_is_guessed(
     with pytest.raises(
         RecordingError, match=f"choose one, as with --topic {min(first, second)}"
     ) as said:
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
     assert first in str(said.value)
     assert second in str(said.value)
-    chosen = read_recording(path, robot, [second])
+    chosen = read_robot_recording(path, robot, [second])
     assert chosen.notes[0] == f"Joint states are those of {second}."
     assert len(chosen) == len(table)
 
 
 def test_the_topic_that_is_read_is_always_named(tmp_path, table, robot):
     path = write_joint_states(tmp_path / "one.mcap", table, "/arm/joint_states")
-    assert "Joint states are those of /arm/joint_states." in read_recording(path, robot).notes
+    assert (
+        "Joint states are those of /arm/joint_states." in read_robot_recording(path, robot).notes
+    )
     with pytest.raises(
         RecordingError, match="no joint states, commands or trials on /other; it has"
     ):
-        read_recording(path, robot, ["/other"])
+        read_robot_recording(path, robot, ["/other"])
 
 
 def test_a_topic_of_commands_is_no_topic_of_states(tmp_path, table, robot):
     path = two_topics(tmp_path / "two.mcap", table, "/joint_states", "/joint_commands", False)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert "Joint states are those of /joint_states." in recording.notes
     assert "Commands are those of /joint_commands." in recording.notes
 
@@ -94,7 +96,7 @@ def test_a_topic_of_commands_is_no_topic_of_states(tmp_path, table, robot):
 @pytest.mark.parametrize("topic", ["/commander/joint_states", "/command/states"])
 def test_states_of_a_commander_are_states(tmp_path, table, robot, topic):
     path = write_joint_states(tmp_path / "one.mcap", table, topic)
-    assert len(read_recording(path, robot)) == len(table)
+    assert len(read_robot_recording(path, robot)) == len(table)
 
 
 def test_a_topic_that_is_called_a_command_may_be_asked_for(tmp_path, table):
@@ -102,10 +104,10 @@ def test_a_topic_that_is_called_a_command_may_be_asked_for(tmp_path, table):
     model.write_text(XML.replace('motor name="', 'motor name="of_'))
     path = write_joint_states(tmp_path / "one.mcap", table, "/joint_commands")
     with pytest.raises(RecordingError, match="taken for commands, unless --topic names it"):
-        read_recording(path, load_robot(model))
-    assert len(read_recording(path, load_robot(model), ["/joint_commands"])) == len(table)
+        read_robot_recording(path, load_robot(model))
+    assert len(read_robot_recording(path, load_robot(model), ["/joint_commands"])) == len(table)
     path = two_topics(tmp_path / "two.mcap", table, "/joint_states", "/joint_commands", False)
-    notes = read_recording(path, load_robot(model)).notes
+    notes = read_robot_recording(path, load_robot(model)).notes
     unread = (
         "/joint_commands names none of the inputs of_shoulder, of_elbow, so no commands are read."
     )
@@ -128,9 +130,9 @@ def test_of_several_topics_of_commands_that_of_the_namespace_counts(tmp_path, ta
                 bag.joint_state("/left/joint_states", at_ns, at_ns, names, **fields)
         if says:
             with pytest.raises(RecordingError, match=says):
-                read_recording(tmp_path / name, robot)
+                read_robot_recording(tmp_path / name, robot)
         else:
-            notes = read_recording(tmp_path / name, robot).notes
+            notes = read_robot_recording(tmp_path / name, robot).notes
             assert "Commands are those of /left/joint_commands." in notes
 
 
@@ -154,7 +156,7 @@ def test_joints_are_matched_by_the_names_that_the_model_has(tmp_path, table, nam
     robot = load_robot(model)
     assert robot.joint_names == names
     assert len(set(robot.joints)) == 2
-    by_bag = read_recording(
+    by_bag = read_robot_recording(
         write_joint_states(
             tmp_path / "named.mcap", table, joints=dict(zip(JOINTS, names, strict=True))
         ),
@@ -167,7 +169,7 @@ def test_joints_are_matched_by_the_names_that_the_model_has(tmp_path, table, nam
                 columns=lambda c, j=joint, n=name: c.replace(f".{j}", f".{n}")
             )
         renamed.to_csv(tmp_path / "named.csv", index=False)
-        by_csv = read_recording(tmp_path / "named.csv", robot)
+        by_csv = read_robot_recording(tmp_path / "named.csv", robot)
         assert by_csv.position == pytest.approx(by_bag.position)
 
 
@@ -176,7 +178,7 @@ def test_a_letter_that_is_spelled_in_two_ways_is_one(tmp_path, table):
     model.write_text(XML.replace('"elbow"', '"gel\u00e4nk"'), encoding="utf-8")
     other = {"shoulder": "shoulder", "elbow": "gela\u0308nk"}
     path = write_joint_states(tmp_path / "named.mcap", table, joints=other)
-    assert len(read_recording(path, load_robot(model))) == len(table)
+    assert len(read_robot_recording(path, load_robot(model))) == len(table)
 
 
 @pytest.mark.parametrize("topics", [("/joint_states",) * 2, ("/arm/joint_states", "/hand/states")])
@@ -189,7 +191,7 @@ def test_joints_in_messages_of_their_own_are_merged(tmp_path, table, robot, topi
                     continue
                 given = {name: values[joint : joint + 1] for name, values in fields.items()}
                 bag.joint_state(topic, at_ns + joint, at_ns, [JOINTS[joint]], **given)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     expected = table[::2]
     assert recording.time_s == pytest.approx(expected.time_s - expected.time_s.iloc[0])
     for joint, name in enumerate(JOINTS):
@@ -207,7 +209,7 @@ def test_nothing_is_merged_across_a_pause_of_one_driver(tmp_path, table, robot):
                     continue
                 given = {name: values[joint : joint + 1] for name, values in fields.items()}
                 bag.joint_state("/joint_states", at_ns + joint, at_ns, [JOINTS[joint]], **given)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     expected = table.drop(index=range(80, 120))
     assert recording.position[:, 1] == pytest.approx(expected["position.elbow"])
     assert any("before row 81: the trial is parted" in note for note in recording.notes)
@@ -222,7 +224,7 @@ def test_a_joint_that_stands_twice_in_a_message_is_refused(tmp_path, table, robo
     with pytest.raises(
         RecordingError, match="/joint_states, message 1: name: shoulder, elbow stands twice"
     ):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
 
 
 def test_a_message_with_too_few_values_is_refused(tmp_path, table, robot):
@@ -231,7 +233,7 @@ def test_a_message_with_too_few_values_is_refused(tmp_path, table, robot):
         for at_ns, names, fields in states(table):
             bag.joint_state("/joint_states", at_ns, at_ns, names, **fields | {"effort": [1.0]})
     with pytest.raises(RecordingError, match="message 1: effort holds 1 values for 2 names"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +245,7 @@ def test_rows_begin_where_efforts_do(tmp_path, table, robot, efforts):
         for k, (at_ns, names, fields) in enumerate(states(table)):
             message_fields = fields | {"effort": efforts} if k < 50 else fields
             bag.joint_state("/joint_states", at_ns, at_ns, names, **message_fields)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert len(recording) == len(table) - 50
     expected = "The first 50 of 200 rows are left out, before all torques have begun."
     assert expected in recording.notes
@@ -260,7 +262,7 @@ def test_a_second_publisher_on_the_topic_is_refused(tmp_path, table, robot, ever
                 stale = {"position": [0.0, 0.0]} | ({"effort": efforts} if efforts else {})
                 bag.joint_state("/joint_states", at_ns + 4 * MS, at_ns + 4 * MS, names, **stale)
     with pytest.raises(RecordingError, match=r"publisher"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
 
 
 def stamped(path, table, stamp_of):
@@ -273,7 +275,7 @@ def stamped(path, table, stamp_of):
 
 def test_simulated_time_may_begin_at_zero(tmp_path, table, robot):
     path = stamped(tmp_path / "sim.mcap", table, lambda k, at_ns: k * 10 * MS // 2)
-    assert read_recording(path, robot).time_s == pytest.approx(0.005 * np.arange(len(table)))
+    assert read_robot_recording(path, robot).time_s == pytest.approx(0.005 * np.arange(len(table)))
 
 
 @pytest.mark.parametrize("missing", [{0}, {7, 8}, set(range(200))])
@@ -281,7 +283,7 @@ def test_rows_have_one_clock_where_stamps_are_missing(tmp_path, table, robot, mi
     wall = stamped(
         tmp_path / "wall.mcap", table, lambda k, at_ns: 0 if k in missing else 5 * START_NS + at_ns
     )
-    recording = read_recording(wall, robot)
+    recording = read_robot_recording(wall, robot)
     assert recording.time_s == pytest.approx(table.time_s - table.time_s.iloc[0])
     assert (len(missing) == 200) != any("Stamps are missing" in note for note in recording.notes)
 
@@ -294,6 +296,6 @@ def test_drivers_with_other_clocks_are_ordered_by_arrival(tmp_path, table, robot
                 given = {name: values[joint : joint + 1] for name, values in fields.items()}
                 stamp_ns = at_ns + joint * 1_000 * START_NS
                 bag.joint_state("/joint_states", at_ns, stamp_ns, [JOINTS[joint]], **given)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert recording.position[:, 1] == pytest.approx(table["position.elbow"])
     assert "Stamps are of several clocks, so the times of arrival count." in recording.notes

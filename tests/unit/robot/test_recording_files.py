@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.recording import read_recording as read_robot
-from cablesense_recording.checks import read_recording as read_arm
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_recording.csv_file import write_csv
+from cablesense_recording.reading import read_recording as read_arm
 from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from tests.helpers.bags import write_joint_states, write_mcap
@@ -65,7 +65,7 @@ def machine(request, folder, robot, table):
     table.to_csv(folder / "robot.csv", index=False)
     text = (folder / "robot.csv").read_text()
     return (
-        (lambda path: read_robot(path, robot)),
+        (lambda path: read_robot_recording(path, robot)),
         text,
         lambda path: write_joint_states(path, table),
     )

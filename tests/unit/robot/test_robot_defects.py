@@ -11,7 +11,7 @@ import pytest
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_recording.recording import RecordingError
 from tests.helpers.bags import write_joint_states
 from tests.helpers.two_link import XML, recorded, write_model
@@ -189,10 +189,10 @@ def test_a_defect_is_named_and_memory_is_bounded(tmp_path, table, robot, defect,
     try:
         if refused is not None:
             with pytest.raises(RecordingError, match=refused) as said:
-                read_recording(path, robot)
+                read_robot_recording(path, robot)
             assert "\n" not in str(said.value)
             return
-        recording = read_recording(path, robot)
+        recording = read_robot_recording(path, robot)
         motion = prepared(recording, robot)
         peak_bytes = tracemalloc.get_traced_memory()[1]
     finally:
@@ -204,8 +204,8 @@ def test_a_defect_is_named_and_memory_is_bounded(tmp_path, table, robot, defect,
 
 @pytest.mark.parametrize("seconds", [0.25, 7.0, 1.7e9])
 def test_nothing_is_interpolated_where_time_leaps(tmp_path, table, robot, seconds):
-    whole = read_recording(as_csv(tmp_path / "whole", table), robot)
-    leapt = read_recording(as_csv(tmp_path / "leapt", later(seconds)(table)), robot)
+    whole = read_robot_recording(as_csv(tmp_path / "whole", table), robot)
+    leapt = read_robot_recording(as_csv(tmp_path / "leapt", later(seconds)(table)), robot)
     assert len(leapt) == len(whole)
     assert leapt.trial[619] != leapt.trial[620]
 
@@ -213,14 +213,14 @@ def test_nothing_is_interpolated_where_time_leaps(tmp_path, table, robot, second
 def test_a_dead_channel_is_used_if_the_user_insists(tmp_path, table, robot):
     path = as_csv(tmp_path / "dead", held("torque.elbow", 700)(table))
     with pytest.raises(RecordingError, match="or continue with --force"):
-        read_recording(path, robot)
-    notes = read_recording(path, robot, force=True).notes
+        read_robot_recording(path, robot)
+    notes = read_robot_recording(path, robot, force=True).notes
     assert any("torque.elbow is" in note for note in notes)
 
 
 def test_a_constant_torque_is_not_compared(tmp_path, table, robot):
     path = as_csv(tmp_path / "dead", in_rows("torque.elbow", slice(None), 0.37)(table))
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert np.isnan(recording.torque[:, 1]).all()
     assert np.isfinite(recording.torque[:, 0]).all()
 
@@ -229,7 +229,7 @@ def test_a_joint_without_a_drive_has_no_torque_rightly(tmp_path, table):
     model = tmp_path / "passive.xml"
     model.write_text(XML.replace('<motor name="elbow" joint="elbow"/>', ""))
     path = as_csv(tmp_path / "passive", in_rows("torque.elbow", slice(None), 0.0)(table))
-    recording = read_recording(path, load_robot(model))
+    recording = read_robot_recording(path, load_robot(model))
     assert (recording.torque[:, 1] == 0.0).all()
     assert not any("torque" in note for note in recording.notes)
 
@@ -241,5 +241,5 @@ def test_drives_that_hold_a_torque_at_rest_are_well(tmp_path, table, robot, labe
     for label in labels:
         for kind in ("position", "torque"):
             resting = held(f"{kind}.{label}", 400, 800)(resting)
-    recording = read_recording(as_csv(tmp_path / "rest", resting), robot)
+    recording = read_robot_recording(as_csv(tmp_path / "rest", resting), robot)
     assert not any("torque" in note for note in recording.notes)

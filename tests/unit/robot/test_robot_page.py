@@ -10,7 +10,7 @@ from cablesense_gap.report.film import FilmError
 from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem, write_prediction
 from cablesense_gap.system import problem_of
 from cablesense_gap.verdict import ChannelGap
@@ -49,7 +49,7 @@ def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
 )
 def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
     robot = load_robot(write_model(tmp_path))
-    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    motion = prepared(read_robot_recording(recorded(tmp_path / "recording.csv"), robot), robot)
     system = RobotSystem(robot, motion, {})
     channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     gap = gap_of(45.9, 16.7, 1.0).model_copy(update={"effects_n": 17.0})
@@ -64,7 +64,7 @@ def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
 
 def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):
     robot = load_robot(write_model(tmp_path))
-    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    motion = prepared(read_robot_recording(recorded(tmp_path / "recording.csv"), robot), robot)
     system = RobotSystem(robot, motion, {})
     residual = np.where(system.trial[:, None] == 3, 9.0, 1.0) * np.ones_like(system.readings)
     said = system.unlisted(problem_of(system), residual).experiment
@@ -79,7 +79,7 @@ def test_trials_are_called_as_the_file_calls_them(tmp_path, forward):
     table["trial"] = numbers[table.trial]
     short = (table.trial == 71) & (table.groupby("trial").cumcount() >= 10)
     table[~short].to_csv(tmp_path / "numbered.csv", index=False)
-    recording = read_recording(tmp_path / "numbered.csv", robot)
+    recording = read_robot_recording(tmp_path / "numbered.csv", robot)
     system = RobotSystem(robot, prepared(recording, robot, forward=forward), {})
     residual = np.where(system.trial[:, None] == 2, 9.0, 1.0) * np.ones_like(system.readings)
     # the second trial is too short to be compared

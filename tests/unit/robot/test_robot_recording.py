@@ -12,7 +12,7 @@ from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import channels_of, read_recording
+from cablesense_gap.robot.recording import channels_of, read_robot_recording
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
 from cablesense_recording import csv_file, joint_states, mcap_file
@@ -41,7 +41,7 @@ def table(folder):
 
 def read(tmp_path, table, robot, name="changed.csv"):
     table.to_csv(tmp_path / name, index=False)
-    return read_recording(tmp_path / name, robot)
+    return read_robot_recording(tmp_path / name, robot)
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ def test_with_force_a_drum_may_turn_far(tmp_path, table, robot):
     table = table.assign(**{"position.elbow": 60.0 * table["position.elbow"]})
     table.to_csv(tmp_path / "drum.csv", index=False)
     with pytest.raises(RecordingError, match="continue with --force"):
-        read_recording(tmp_path / "drum.csv", robot)
-    recording = read_recording(tmp_path / "drum.csv", robot, force=True)
+        read_robot_recording(tmp_path / "drum.csv", robot)
+    recording = read_robot_recording(tmp_path / "drum.csv", robot, force=True)
     assert any("degrees given?" in note for note in recording.notes)
 
 
@@ -96,7 +96,7 @@ def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, r
     for trial, own in table.groupby("trial"):
         own = own.assign(time_s=own.time_s - own.time_s.iloc[0]).drop(columns="trial")
         own.to_csv(tmp_path / f"run_{trial}.csv.gz", index=False)
-    whole = read_recording(tmp_path, robot)
+    whole = read_robot_recording(tmp_path, robot)
     assert len(whole) == len(table)
     # three are too few to hold some out, so each is cut
     assert whole.trial.max() + 1 >= 5
@@ -114,7 +114,7 @@ def test_trials_are_called_by_their_numbers_in_the_file(tmp_path, table, robot):
 def test_trials_of_several_files_are_called_by_number_and_file(tmp_path, table, robot):
     for name in ("first.csv", "second.csv"):
         table.assign(trial=table.trial + 3).to_csv(tmp_path / name, index=False)
-    recording = read_recording(tmp_path, robot)
+    recording = read_robot_recording(tmp_path, robot)
     labels = dict.fromkeys(recording.trial_label(trial) for trial in recording.trial.tolist())
     assert list(labels) == [
         f"{n} of {name}.csv" for name in ("first", "second") for n in (3, 4, 5)
@@ -124,7 +124,7 @@ def test_trials_of_several_files_are_called_by_number_and_file(tmp_path, table, 
 def test_trials_without_numbers_are_counted_in_each_file(tmp_path, table, robot):
     for trial, rows in table.drop(columns="trial").groupby(table.trial):
         rows.to_csv(tmp_path / f"run_{trial}.csv", index=False)
-    recording = read_recording(tmp_path, robot)
+    recording = read_robot_recording(tmp_path, robot)
     labels = [f"{k} of run_{n}.csv" for n in range(3) for k in range(3)]
     assert list(recording.trial_labels) == labels
 
@@ -146,7 +146,7 @@ def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
                 CABLE_TENSIONS, 2 * k + 2, stamp_ns, names, position=position, effort=effort
             )
     by_csv = read(tmp_path, table, robot)
-    by_bag = read_recording(path, robot)
+    by_bag = read_robot_recording(path, robot)
     assert by_bag.time_s == pytest.approx(by_csv.time_s)
     assert by_bag.position == pytest.approx(by_csv.position)
     assert by_bag.torque == pytest.approx(by_csv.torque)
@@ -154,7 +154,7 @@ def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
     other = tmp_path / "other.xml"
     other.write_text(Path(robot.path).read_text().replace("elbow", "knee"))
     with pytest.raises(RecordingError, match="with the joints shoulder, knee; it names elbow"):
-        read_recording(path, load_robot(other))
+        read_robot_recording(path, load_robot(other))
 
 
 @pytest.mark.slow  # loads the message types
@@ -163,18 +163,18 @@ def test_a_recording_that_is_too_large_or_not_there_is_refused_in_one_line(
 ):
     path = tmp_path / "run.mcap"
     with pytest.raises(RecordingError, match=r"^\S*run\.mcap: no such file$"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
     with Bag(path) as bag:
         bag.joint_state(CABLE_TENSIONS, 1, 1, robot.joints, position=[0.0, 0.0])
     for module in (csv_file, joint_states):
         monkeypatch.setattr(module, "MAX_NUMBERS", 5)
     with pytest.raises(RecordingError, match=r"^\S*run\.mcap: more than 5 numbers; split it$"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
     with pytest.raises(RecordingError, match="more than 5 numbers; split it"):
         read(tmp_path, table, robot, "packed.csv.gz")
     monkeypatch.setattr(mcap_file, "MAX_FILE_BYTES", 10)
     with pytest.raises(RecordingError, match=r"^\S*run\.mcap: 0\.0 GB; a recording has at most"):
-        read_recording(path, robot)
+        read_robot_recording(path, robot)
 
 
 @pytest.mark.slow  # loads the message types
@@ -191,7 +191,7 @@ def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_p
             position = [row[f"position.{name}"] for name in names]
             stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
             bag.joint_state(CABLE_TENSIONS, 10 * k + 3, stamp_ns, names, position=position)
-    recording = read_recording(path, robot)
+    recording = read_robot_recording(path, robot)
     assert np.ptp(recording.time_s) == pytest.approx(table.time_s[59] - table.time_s[20])
     assert recording.command[:, 1] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
     assert (
