@@ -18,6 +18,7 @@ from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
+from tests.helpers.html_page import show_no_film
 from tests.helpers.two_link import model_torques, motion, recorded, torques, write_model
 
 
@@ -45,7 +46,8 @@ def test_nothing_is_found_where_nothing_is(tmp_path, model):
 
 
 @pytest.mark.slow
-def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
+def test_from_nothing_to_a_report_in_two_commands(tmp_path, model, monkeypatch):
+    show_no_film(monkeypatch)
     first = recorded(tmp_path / "first.csv.gz", friction=(0.1, 0.08))
     second = recorded(tmp_path / "second.csv", seed=7, friction=(0.1, 0.08))
     out = tmp_path / "diagnosis"

@@ -16,6 +16,7 @@ from cablesense_gap.verdict import read_verdict
 from cablesense_gap.watch import SeriesError
 from cablesense_recording.recording import RecordingError
 from cablesense_ros.cli.app import app
+from tests.helpers.html_page import show_no_film
 from tests.helpers.two_link import worn, write_model
 
 
@@ -31,7 +32,8 @@ def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_p
 
 
 @pytest.mark.slow
-def test_the_command_says_since_when_and_refuses_another_machine(tmp_path):
+def test_the_command_says_since_when_and_refuses_another_machine(tmp_path, monkeypatch):
+    show_no_film(monkeypatch)
     model = write_model(tmp_path)
     healthy = worn(tmp_path / "healthy.csv", 1)
     later = worn(tmp_path / "later.csv", 3, payload=0.1)
