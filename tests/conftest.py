@@ -31,6 +31,7 @@ BEHIND = 5
 
 NODES = "real nodes"
 EXPORTS = "exports"
+LINTERS = "test_lint.py"
 
 
 def _group_of(item):
@@ -66,6 +67,7 @@ def pytest_collection_modifyitems(config, items):
                 not _is_of_nodes(item),
                 not item.get_closest_marker("browser"),
                 _group_of(item) != EXPORTS,
+                item.path.name != LINTERS,
                 -slow[item.path],
                 item.path,
             )
