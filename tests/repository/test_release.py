@@ -20,7 +20,7 @@ from catkin_pkg.package import parse_package
 from tests.helpers.checkout import CHECKOUT
 
 VERSION = distribution("cablesense_ros").version
-DEMO = ("demo", "--headless", "--duration", "8", "--no-commission", "--json")
+DEMO = ("demo", "--headless", "--duration", "4", "--no-commission", "--json")
 """Without the commissioning, which has tests of its own and wants processors that are not busy."""
 pytestmark = pytest.mark.slow
 
