@@ -87,7 +87,7 @@ def motion(rng, seconds=4.0, home=(0.0, 0.0)):
 
 
 def recorded(
-    path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, home=(0.0, 0.0), **planted
+    path, seed=0, trials=4, read=lambda torque: torque, noise_n_m=0.01, home=(0.0, 0.0), **planted
 ):
     """A CSV of the pendulum with encoders of 0.1 mrad."""
     rng = np.random.default_rng(seed)

@@ -115,6 +115,7 @@ def force_known_n(arm, law, poses):
     return contacts.known_force(law, calibration.mean, calibration.covariance).half_interval_n
 
 
+@pytest.mark.slow
 def test_chosen_poses_teach_more_than_random_ones(lab):
     arm, law, poses = lab
     chosen_n = force_known_n(arm, law, poses)

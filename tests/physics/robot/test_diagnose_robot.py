@@ -115,7 +115,7 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
 
 def test_trials_that_begin_at_zero_are_told(tmp_path, model):
     robot = load_robot(model)
-    path = recorded(tmp_path / "recording.csv")
+    path = recorded(tmp_path / "recording.csv", trials=6)
     assert not starts_at_zero(read_recording(path, robot))
     table = pd.read_csv(path)
     joints = ["position.shoulder", "position.elbow"]

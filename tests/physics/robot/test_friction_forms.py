@@ -71,6 +71,7 @@ def test_every_number_of_friction_has_its_part_of_a_law_or_explicitly_none(tmp_p
     assert numbers == PART_OF.keys()
 
 
+@pytest.mark.slow
 def test_forward_in_time_the_law_is_of_those_that_the_comparison_has(tmp_path):
     robot = load_robot(write_model(tmp_path))
     path = recorded(tmp_path / "recording.csv", seed=4, trials=2, friction=(0.2, 0.1))

@@ -59,6 +59,7 @@ sensors: {place: actuator end, rate_hz: 100, noise_std_n: 0.0117, step_n: 0.05}
 """
 
 
+@pytest.mark.slow
 def test_an_arm_whose_cables_go_slack_is_refused_and_leaves_no_file(tmp_path):
     arm = parse_arm(THIN_WITH_SLACK_CABLES)
     path = tmp_path / "thin.onnx"
