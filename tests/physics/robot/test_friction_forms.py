@@ -23,18 +23,18 @@ HARD = Bristles(np.array(0.08), np.array(0.8), np.array(0.5), presliding_rad=np.
 
 def bent_n_m(bristles, time_s, position):
     """Torque (T,) of bristles along a path (T,), by small steps."""
-    path = CubicSpline(time_s, position)
     step_s = (time_s[1] - time_s[0]) / STEPS
+    within_s = (np.arange(STEPS) + 0.5) * step_s
+    speeds = CubicSpline(time_s, position)(time_s[:-1, None] + within_s, 1)
     bend = np.zeros(())
     torque = np.zeros(len(time_s))
-    for row in range(1, len(time_s)):
-        for part in range(STEPS):
-            speed = path(time_s[row - 1] + (part + 0.5) * step_s, 1)
+    for row, speeds_in_row in enumerate(speeds, start=1):
+        for speed in speeds_in_row:
             bend, torque[row] = bristles.stepped(bend, speed, step_s)
     return torque
 
 
-def elbow_recording(robot, lost_n_m, trials=6):
+def elbow_recording(robot, lost_n_m, trials=4):
     """The pendulum with a torque of its own at the elbow."""
     rng = np.random.default_rng(4)
     columns = []
