@@ -10,6 +10,7 @@ BIN := $(VENV)/bin
 PARALLEL := --dist loadgroup
 # One worker more than cores: the tests of real nodes mostly wait, and come first.
 ALL := --numprocesses $$(($$(nproc) + 1)) --no-loadscope-reorder
+# The linters are tests, too (tests/repository/test_lint.py), so that they run beside the others.
 # Hundreds of processes start in the tests; each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 FAST := --numprocesses auto --ignore=tests/system/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
@@ -31,10 +32,7 @@ demo: $(VENV)/.demo build/compiled  ## a live picture of an arm being pushed; AR
 	@$(BIN)/cablesense demo $(ARGS)
 
 test: setup build/mypy build/compiled-all  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
-	@failed=0; \
-	$(MAKE) --no-print-directory lint || failed=1; \
-	$(BIN)/python -m pytest $(PARALLEL) $(ALL) $(ARGS) || failed=1; \
-	exit $$failed
+	@$(BIN)/python -m pytest $(PARALLEL) $(ALL) $(ARGS)
 
 test-fast: setup build/compiled-all  ## the tests that take milliseconds: no nodes, no browser, nothing slow
 	@$(BIN)/python -m pytest $(PARALLEL) $(FAST) $(ARGS)

@@ -119,7 +119,7 @@ class CableChains:
         self._cables = _Cables(
             stiffness_n_m=_flat(np.where(exists, 1.0 / np.where(exists, compliance, 1.0), 0.0)),
             presliding_m=_flat(np.where(presliding > _LEAST_PRESLIDING_M, presliding, 0.0)),
-            rounding=_flat(np.broadcast_to(rounding, nodes)),
+            rounding=_flat(np.broadcast_to(rounding, nodes).copy()),
             natural_m=_flat(natural),
             share=_flat(share.copy()),
             slips=np.zeros((whole.size, nodes[-1])),

@@ -6,6 +6,7 @@ Nor does a test spread small matrices over threads, or fail because the machine 
 import os
 import signal
 from collections import Counter
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -29,8 +30,10 @@ hypothesis.settings.load_profile("any machine")
 BEHIND = 5
 """Niceness of workers whose tests only compute, beside real nodes that must answer in time."""
 
+SYSTEM = Path(__file__).parent / "system"
 NODES = "real nodes"
 EXPORTS = "exports"
+LINTERS = "test_lint.py"
 
 
 def _group_of(item):
@@ -45,7 +48,12 @@ def _group_of(item):
 
 
 def _is_of_nodes(item):
-    return bool(item.get_closest_marker("ros") and not item.get_closest_marker("browser"))
+    """Whether it starts nodes that must answer in time; a browser waits for what it is shown.
+
+    Elsewhere than under tests/system, a test stays with others that use what is installed for it.
+    """
+    starts_nodes = item.get_closest_marker("ros") and not item.get_closest_marker("browser")
+    return bool(starts_nodes and item.path.is_relative_to(SYSTEM))
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
@@ -66,6 +74,7 @@ def pytest_collection_modifyitems(config, items):
                 not _is_of_nodes(item),
                 not item.get_closest_marker("browser"),
                 _group_of(item) != EXPORTS,
+                item.path.name != LINTERS,
                 -slow[item.path],
                 item.path,
             )

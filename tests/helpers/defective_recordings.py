@@ -15,7 +15,7 @@ from tests.helpers.bags import write_joint_states, write_mcap
 from tests.helpers.two_link import recorded
 
 LAB = open_arm("cdsm_lab")
-ARM_ROWS = 240
+ARM_ROWS = 120
 ARM_STEP_S = 0.2
 ARM_COMMANDS = [f"q{number}_cmd_rad" for number in range(1, 9)]
 ARM_TENSIONS = [f"tension_{number}_n" for number in range(1, 13)]
@@ -45,8 +45,8 @@ def robot_table(folder):
 def arm_table():
     """Ten trials of held poses without loads, as the arm of the file reads them."""
     rng = np.random.default_rng(0)
-    held = np.repeat(rng.uniform(-0.15, 0.15, (ARM_ROWS // 12, 8)), 12, axis=0)
-    columns = {"time_s": ARM_STEP_S * np.arange(ARM_ROWS), "trial": np.arange(ARM_ROWS) // 24}
+    held = np.repeat(rng.uniform(-0.15, 0.15, (ARM_ROWS // 6, 8)), 6, axis=0)
+    columns = {"time_s": ARM_STEP_S * np.arange(ARM_ROWS), "trial": np.arange(ARM_ROWS) // 12}
     columns |= dict(zip(ARM_COMMANDS, held.T, strict=True))
     unread = dict.fromkeys(ARM_TENSIONS, np.zeros(ARM_ROWS))
     tensions = replay_arm(LAB, arm_recording(pd.DataFrame(columns | unread)).course)

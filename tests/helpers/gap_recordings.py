@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from blind_sets import narrow_arm
 
+from cablesense_gap.experiments import Experiment
 from cablesense_recording.recording import Recording
 
 LAB = narrow_arm("cdsm_lab")
@@ -35,6 +36,14 @@ def small_recording(peak_n: float = 40.0) -> Recording:
         load_segment=np.where(load > 0.0, segment, 0),
         load_n=np.outer(load, [0.0, 0.0, -1.0]),
         tensions_n=np.full((rows, 12), 50.0),
+    )
+
+
+def propose_no_experiment(monkeypatch):
+    """Diagnoses of arms end without a proposal, for which 43 blocks would be simulated."""
+    monkeypatch.setattr(
+        "cablesense_gap.arm_system.next_experiment",
+        lambda *_, **__: Experiment("No experiment is proposed."),
     )
 
 

@@ -36,3 +36,13 @@ def draw_no_pictures(monkeypatch):
     """Reports of diagnoses have empty pictures, which would take seconds to draw."""
     for name in ("arm", "overlay", "time"):
         monkeypatch.setattr(f"cablesense_gap.report.page.{name}_picture", lambda *_: "data:")
+
+
+def show_no_film(monkeypatch):
+    """Reports of robots have a line in place of a film, which would take seconds to render."""
+    from cablesense_gap.report.film import FilmError
+
+    def refused(_diagnosis):
+        raise FilmError("none is wanted")
+
+    monkeypatch.setattr("cablesense_gap.report.film.robot_film", refused)

@@ -46,7 +46,7 @@ class MadeRun:
 
     def __init__(
         self,
-        samples: int = 300,
+        samples: int = 200,
         model: str = "",
         *,
         breath: bool = False,

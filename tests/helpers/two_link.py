@@ -87,7 +87,7 @@ def motion(rng, seconds=4.0, home=(0.0, 0.0)):
 
 
 def recorded(
-    path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01, home=(0.0, 0.0), **planted
+    path, seed=0, trials=4, read=lambda torque: torque, noise_n_m=0.01, home=(0.0, 0.0), **planted
 ):
     """A CSV of the pendulum with encoders of 0.1 mrad."""
     rng = np.random.default_rng(seed)
@@ -105,12 +105,12 @@ def recorded(
     return path
 
 
-def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
+def worn(path, seed, zero_rad=0.0, gain=1.0, trials=3, **planted):
     """A recording of a pendulum with a cable harness, and bearings that are rough in places.
 
     At the shoulder an encoder's zero and a torque's scale may be off.
     """
-    recorded(path, seed=seed, **planted)
+    recorded(path, seed=seed, trials=trials, **planted)
     table = pd.read_csv(path)
     for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
         position = table[f"position.{joint}"]

@@ -20,7 +20,7 @@ from catkin_pkg.package import parse_package
 from tests.helpers.checkout import CHECKOUT
 
 VERSION = distribution("cablesense_ros").version
-DEMO = ("demo", "--headless", "--duration", "8", "--no-commission", "--json")
+DEMO = ("demo", "--headless", "--duration", "4", "--no-commission", "--json")
 """Without the commissioning, which has tests of its own and wants processors that are not busy."""
 pytestmark = pytest.mark.slow
 
@@ -140,23 +140,6 @@ def test_a_wheel_carries_all_rooms_and_the_config(wheel: Path) -> None:
     assert not any(n.startswith(("tests/", "paper/", "examples/")) for n in names)
 
 
-def test_an_installed_wheel_estimates(
-    environment: tuple[Path, dict[str, str]], tmp_path: Path
-) -> None:
-    programs, variables = environment
-    done = subprocess.run(
-        [str(programs / "cablesense"), "evaluate", "--table2", "--json"],
-        cwd=tmp_path,
-        env=variables,
-        capture_output=True,
-        check=False,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(done.stdout)["rows"]
-    assert [row["segment"] for row in rows] == [row["true_segment"] for row in rows]
-
-
 @pytest.mark.ros
 @pytest.mark.timeout(400)
 def test_an_installed_wheel_plays_the_demo(
@@ -179,6 +162,23 @@ def test_an_installed_wheel_plays_the_demo(
     assert ("compiles the statics" in done.stderr) == is_fresh
     for log in (tmp_path / "out/demo/logs").iterdir():
         assert "compiles the statics" not in log.read_text(encoding="utf-8"), log.name
+
+
+def test_an_installed_wheel_estimates(
+    environment: tuple[Path, dict[str, str]], tmp_path: Path
+) -> None:
+    programs, variables = environment
+    done = subprocess.run(
+        [str(programs / "cablesense"), "evaluate", "--table2", "--json"],
+        cwd=tmp_path,
+        env=variables,
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["segment"] for row in rows] == [row["true_segment"] for row in rows]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -115,6 +115,7 @@ def known():
     return posteriors
 
 
+@pytest.mark.slow
 def test_a_recording_says_of_parameters_what_it_can_and_how_sure_it_is(known):
     prior = expected_parameters(BUILT)
     assert prior.names == tuple(PARAMETERS.names)
@@ -134,6 +135,7 @@ def test_a_recording_says_of_parameters_what_it_can_and_how_sure_it_is(known):
     assert 0.8 < size < 1.2
 
 
+@pytest.mark.slow
 def test_with_what_is_known_of_it_an_arm_reads_as_it_does(known):
     """Poses and loads that were not recorded, though not far from those."""
     course = replace(small_recording(peak_n=15.0).rows(FEW), time_s=RECORDING.time_s)

@@ -20,7 +20,12 @@ from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from tests.helpers.gap_problem import hypothesis
-from tests.helpers.gap_recordings import LAB, placed_recording, small_recording
+from tests.helpers.gap_recordings import (
+    LAB,
+    placed_recording,
+    propose_no_experiment,
+    small_recording,
+)
 
 PROTOCOL = small_recording(peak_n=25.0)
 MASS = Term("payload", "segment_3", "mass_kg")
@@ -35,6 +40,12 @@ def made(truth: Assignment, seed: int = 0, course: Recording = PROTOCOL) -> Reco
     scatter = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
     ideal = simulator.predict([{**scatter, **truth}])[0]
     return replace(course, tensions_n=read_tensions_n(ideal, LAB.sensors, rng))
+
+
+@pytest.fixture(autouse=True)
+def no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The proposal of the next experiment has tests of its own."""
+    propose_no_experiment(monkeypatch)
 
 
 @cache

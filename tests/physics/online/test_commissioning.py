@@ -25,6 +25,7 @@ from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from tests.helpers.arm_variants import variant
 
 LAB = Path(config_path("arms/cdsm_lab.yaml"))
 POSES = 25
@@ -114,6 +115,7 @@ def force_known_n(arm, law, poses):
     return contacts.known_force(law, calibration.mean, calibration.covariance).half_interval_n
 
 
+@pytest.mark.slow
 def test_chosen_poses_teach_more_than_random_ones(lab):
     arm, law, poses = lab
     chosen_n = force_known_n(arm, law, poses)
@@ -147,8 +149,9 @@ def test_poses_are_refused_where_cables_get_slack(lab):
 
 
 @pytest.mark.slow
-def test_as_many_poses_are_chosen_as_the_commissioner_may_be_asked_for(lab):
-    arm, law, _ = lab
+def test_as_many_poses_are_chosen_as_the_commissioner_may_be_asked_for():
+    arm = variant({"segments.count": 2}, "cdsm_lab")
+    law = law_of(arm)
     most = 200
     poses = chosen_poses(MovableArm(arm, law), law, most, BEND_RAD)
     assert len(np.unique(poses, axis=0)) == most

@@ -10,6 +10,7 @@ from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
 from tests.helpers.bags import write_joint_states
+from tests.helpers.html_page import show_no_film
 from tests.helpers.two_link import JOINTS, XML, recorded, write_model
 
 pytestmark = pytest.mark.slow
@@ -28,7 +29,7 @@ def leapt(table, seconds):
     return table.assign(time_s=table.time_s + seconds * late)
 
 
-@pytest.mark.parametrize("seconds", [0.3, 15.0, 1.7e9])
+@pytest.mark.parametrize("seconds", [0.3, 1.7e9])
 def test_a_leap_of_time_does_not_change_the_verdict(tmp_path, table, seconds):
     robot = load_robot(write_model(tmp_path))
     leapt(table, seconds).to_csv(tmp_path / "leapt.csv", index=False)
@@ -38,7 +39,8 @@ def test_a_leap_of_time_does_not_change_the_verdict(tmp_path, table, seconds):
     assert any("the trial is parted there" in finding for finding in diagnosis.findings)
 
 
-def test_the_chosen_topic_and_joints_with_colons_give_the_verdict(tmp_path, table):
+def test_the_chosen_topic_and_joints_with_colons_give_the_verdict(tmp_path, table, monkeypatch):
+    show_no_film(monkeypatch)
     model = tmp_path / "model.xml"
     named = XML
     for joint in JOINTS:

@@ -18,6 +18,7 @@ from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
+from tests.helpers.html_page import show_no_film
 from tests.helpers.two_link import model_torques, motion, recorded, torques, write_model
 
 
@@ -45,7 +46,8 @@ def test_nothing_is_found_where_nothing_is(tmp_path, model):
 
 
 @pytest.mark.slow
-def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
+def test_from_nothing_to_a_report_in_two_commands(tmp_path, model, monkeypatch):
+    show_no_film(monkeypatch)
     first = recorded(tmp_path / "first.csv.gz", friction=(0.1, 0.08))
     second = recorded(tmp_path / "second.csv", seed=7, friction=(0.1, 0.08))
     out = tmp_path / "diagnosis"
@@ -113,7 +115,7 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
 
 def test_trials_that_begin_at_zero_are_told(tmp_path, model):
     robot = load_robot(model)
-    path = recorded(tmp_path / "recording.csv")
+    path = recorded(tmp_path / "recording.csv", trials=6)
     assert not starts_at_zero(read_robot_recording(path, robot))
     table = pd.read_csv(path)
     joints = ["position.shoulder", "position.elbow"]

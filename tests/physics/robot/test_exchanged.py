@@ -36,6 +36,7 @@ def bent(read=lambda torque: torque, **planted):
     return RobotRecording("bent", time_s, trial, position, torque, np.nan * torque)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

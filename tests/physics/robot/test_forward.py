@@ -145,7 +145,7 @@ def test_what_encoders_read_otherwise_is_told_by_that_effect(
 
 @pytest.mark.slow  # a whole search, of many courses through time
 def test_a_rotor_is_found_and_sized_without_torques(tmp_path, robot):
-    recording = commanded(tmp_path, robot, armature=(0.0, 0.01), trials=4)
+    recording = commanded(tmp_path, robot, armature=(0.0, 0.01), trials=2)
     verdict = diagnose(recording, robot).verdict
     assert verdict.effects == ("rotor_inertia",)
     assert verdict.where.joints == ("elbow",)

@@ -74,11 +74,13 @@ def test_losses_are_told_from_a_torque_constant_where_the_load_is_lowered_too(ho
     assert (alike < CONFUSED) == downwards
 
 
+@pytest.mark.slow
 def test_commands_alone_show_friction_too(hoist):
     found = isolability(planned(hoist, lifts(downwards=True), "commands"))
     assert np.isfinite(found.named_from[found.sites.index(("joint_friction", "lift"))])
 
 
+@pytest.mark.slow
 def test_motion_is_chosen_in_which_two_effects_differ(pendulum):
     pair = "rotor_inertia", "payload"
     blocks = blocks_that_part(pendulum, pair)

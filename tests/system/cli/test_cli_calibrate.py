@@ -65,6 +65,7 @@ def calibrated(command, tmp_path):
     return tmp_path / "lab.calibration", json.loads(ended.stdout)
 
 
+@pytest.mark.slow
 def test_poses_of_a_recording_become_a_calibration(calibrated):
     file, content = calibrated
     assert content["poses"] == content["unloaded_readings"] == 12
@@ -83,6 +84,7 @@ def test_poses_of_a_recording_become_a_calibration(calibrated):
     assert calibration.made_from == "poses, with unloaded readings in 12 poses"
 
 
+@pytest.mark.slow
 def test_info_shows_a_calibration_file_as_calibrate_does(calibrated, command):
     _, content = calibrated
     shown = command("info", "lab.calibration", "--json")

@@ -56,6 +56,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return write
 
 
+@pytest.mark.slow
 def test_a_better_estimator_is_written_with_its_calibration(command, record, tmp_path):
     recording = record(GAIN)
     done = command("gap", "adapt", recording, "--out", "adapted", "--json")
@@ -74,6 +75,7 @@ def test_a_better_estimator_is_written_with_its_calibration(command, record, tmp
     assert calibration.made_from == "the diagnosis of new"
 
 
+@pytest.mark.slow
 def test_people_read_how_to_run_it(command, record, tmp_path):
     done = command("gap", "adapt", record(GAIN), "--out", "adapted")
     assert "trials that the diagnosis did not have" in done.stdout
@@ -87,6 +89,7 @@ def test_people_read_how_to_run_it(command, record, tmp_path):
     assert run.partition("estimator: ")[2] in (tmp_path / "adapted" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_second_model_that_is_no_better_is_kept_and_not_recommended(command, record, tmp_path):
     (tmp_path / "adapted").mkdir()
     for name in ("estimator.onnx", "calibration.npz"):
@@ -104,6 +107,7 @@ def test_a_second_model_that_is_no_better_is_kept_and_not_recommended(command, r
     assert "force stated wrongly" in report
 
 
+@pytest.mark.slow
 def test_a_new_estimator_that_does_not_hold_leaves_the_verdict(
     command, record, tmp_path, monkeypatch
 ):

@@ -13,7 +13,7 @@ from cablesense_recording.csv_file import write_csv
 from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
-from tests.helpers.gap_recordings import LAB, small_recording
+from tests.helpers.gap_recordings import LAB, propose_no_experiment, small_recording
 
 PROTOCOL = small_recording(peak_n=25.0)
 SHORT = PROTOCOL.rows(np.flatnonzero(np.arange(len(PROTOCOL)) % 4 == 0))
@@ -26,7 +26,8 @@ def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
 
 
 @pytest.mark.slow  # the full library, from which to choose
-def test_a_recording_becomes_a_folder_that_predicts(command, tmp_path):
+def test_a_recording_becomes_a_folder_that_predicts(command, tmp_path, monkeypatch):
+    propose_no_experiment(monkeypatch)
     payload = {"effect": "payload", "at": "segment_3", "parameters": {"mass_kg": 0.5}}
     heavy = LAB.model_validate({**LAB.model_dump(), "effects": [payload]})
     write_csv(tmp_path / "new.csv", recorded(heavy))

@@ -14,7 +14,7 @@ from cablesense_recording.csv_file import write_csv
 from cablesense_ros.cli.options import DiagnosisProgress
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.replay import read_tensions_n, replay_arm
-from tests.helpers.gap_recordings import LAB, small_recording
+from tests.helpers.gap_recordings import LAB, propose_no_experiment, small_recording
 
 DIAGNOSE = ("gap", "diagnose", "new.csv", "--workers", 1, "--out")
 ENDED_BY_SIGINT = 130
@@ -73,6 +73,7 @@ def test_the_same_command_goes_on_with_what_was_simulated(
     command, tmp_path, simulated, stopped_at, monkeypatch
 ):
     monkeypatch.setattr("cablesense_gap.kept_simulations._WORTH_KEEPING_S", 0.0)
+    propose_no_experiment(monkeypatch)
     payload = {"effect": "payload", "at": "segment_3", "parameters": {"mass_kg": 0.5}}
     heavy = LAB.model_validate({**LAB.model_dump(), "effects": [payload]})
     protocol = small_recording(peak_n=25.0)

@@ -15,7 +15,7 @@ from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 from tests.helpers.example_machines import MACHINES, bent_command
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.exports, pytest.mark.slow]
 
 PUSH_N = 1.5
 DISTAL = 2

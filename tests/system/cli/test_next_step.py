@@ -111,6 +111,7 @@ def run(command, text: str, *more: str):
     return done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in PRESENT if name != "load_cell"])
 def test_after_an_effect_the_estimator_is_adapted_and_its_error_falls(command, named, name):
     step = next_step(named(name), GIVEN)
@@ -120,6 +121,7 @@ def test_after_an_effect_the_estimator_is_adapted_and_its_error_falls(command, n
     assert errors["after"]["wrong_force_n"] < 0.95 * errors["before"]["wrong_force_n"]
 
 
+@pytest.mark.slow
 def test_after_a_wrong_load_cell_the_loads_as_found_are_predicted(command, named):
     step = next_step(named("load_cell"), GIVEN)
     found = json.loads(run(command, step.command, "--json").stdout)
@@ -130,6 +132,7 @@ def test_after_a_wrong_load_cell_the_loads_as_found_are_predicted(command, named
     assert found["gap_n"] < 0.5 * nominal["gap_n"]
 
 
+@pytest.mark.slow
 def test_after_none_the_arm_is_calibrated(command, named, tmp_path):
     named("load_cell")
     write_csv(tmp_path / "new.csv", recorded(LAB))

@@ -77,10 +77,10 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
 @pytest.mark.timeout(300)
 def test_a_contact_a_command_and_an_end_stop_it(graph, run, tmp_path):
     file = tmp_path / "lab.calibration"
-    commissioner = run(calibration_file=str(file), poses=12)
+    commissioner = run(calibration_file=str(file), poses=6)
     commands = commands_of(graph)
     begin(graph)
-    graph.until(lambda: "3 of 12 holds" in status(graph), "three holds")
+    graph.until(lambda: "1 of 6 holds" in status(graph), "a hold")
     graph.push(3, (0.0, 40.0, 20.0))
     graph.until(lambda: status(graph).startswith("stopped"), "the stop")
     assert "touch" in status(graph) or "untouched" in status(graph)
@@ -94,7 +94,7 @@ def test_a_contact_a_command_and_an_end_stop_it(graph, run, tmp_path):
     graph.command.publish(
         commands[count - 1]
     )  # as on a busy machine, where its own come back late
-    graph.until(lambda: "1 of 12 holds" in status(graph), "a hold")
+    graph.until(lambda: "1 of 6 holds" in status(graph), "a hold")
     names = list(open_arm("cdsm_lab").joint_names)
     graph.command.publish(JointState(name=names, position=[0.01] * 8))
     graph.until(lambda: "another node commands the arm" in status(graph), "the stop")
@@ -102,7 +102,7 @@ def test_a_contact_a_command_and_an_end_stop_it(graph, run, tmp_path):
     assert list(commands[-1].position) == [0.01] * 8
 
     begin(graph)
-    graph.until(lambda: "1 of 12 holds" in status(graph), "a hold")
+    graph.until(lambda: "1 of 6 holds" in status(graph), "a hold")
     count = len(commands)
     commissioner.signal(signal.SIGINT)
     assert commissioner.wait() == 0
@@ -113,7 +113,7 @@ def test_a_contact_a_command_and_an_end_stop_it(graph, run, tmp_path):
 @pytest.mark.timeout(300)
 def test_silence_stops_it_and_without_readings_or_pose_it_does_not_begin(graph, start):
     sim = start("sim", arm="cdsm_lab", rate_hz=100.0, seed=1)
-    start("commissioner", arm="cdsm_lab", poses=12, bend_deg=5.0, rest_s=0.0)
+    start("commissioner", arm="cdsm_lab", poses=6, bend_deg=5.0, rest_s=0.0)
     graph.until(lambda: status(graph), "the commissioner's diagnostics")
     refused = graph.call("/commissioner/commission")
     assert not refused.success
@@ -123,7 +123,7 @@ def test_silence_stops_it_and_without_readings_or_pose_it_does_not_begin(graph, 
     graph.command.publish(JointState(name=names, position=[0.0] * 8))
     graph.spin(0.5)
     begin(graph)
-    graph.until(lambda: "1 of 12 holds" in status(graph), "a hold")
+    graph.until(lambda: "1 of 6 holds" in status(graph), "a hold")
     sim.kill()
     graph.until(lambda: "no reading for" in status(graph), "the stop")
     refused = graph.call("/commissioner/commission")

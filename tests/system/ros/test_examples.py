@@ -95,7 +95,7 @@ def test_the_admittance_controller_answers_fresh_states_that_are_vouched_for_alo
         (ForceState.CONTACT, 2.0 * admittance.STALE_AFTER_S),
         (ForceState.CONTACT, -2.0 * admittance.STALE_AFTER_S),
     ):
-        stated.hold(2.0 * admittance.STALE_AFTER_S, state, torques_n_m, age_s)
+        stated.hold(1.2 * admittance.STALE_AFTER_S, state, torques_n_m, age_s)
         commands.clear()
         stated.hold(0.2, state, torques_n_m, age_s)
         assert not commands, (state, age_s)

@@ -52,7 +52,11 @@ def processes(tmp_path_factory, browser_program):
     environment = own_graph()
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     page = node_command("page", {"port": 18_080, "home_at_start": True, "rate_hz": 5.0})
-    commands = {"sim": node_command("sim"), "estimator": node_command("estimator"), "page": page}
+    commands = {
+        "sim": node_command("sim", {"rate_hz": 25.0}),
+        "estimator": node_command("estimator"),
+        "page": page,
+    }
     with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
         yield processes
         try:

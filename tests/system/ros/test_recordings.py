@@ -145,7 +145,7 @@ def test_recorded_whole_and_killed_late(graph, start, tmp_path):
             return graph.call("/estimator/tare").success
 
         graph.until(tared, "a tare at the new pose")
-        graph.spin(2.0)
+        graph.spin(1.0)
         joins.kill()
         graph.push(3, (0.0, 0.0, 0.0))
         graph.spin(0.3)

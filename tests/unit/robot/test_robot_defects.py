@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tracemalloc
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
@@ -180,25 +181,38 @@ DEFECTS = {
 }
 
 
-@pytest.mark.parametrize("write", [as_csv, as_bag])
-@pytest.mark.parametrize("defect", DEFECTS)
-def test_a_defect_is_named_and_memory_is_bounded(tmp_path, table, robot, defect, write):
-    change, refused, noted = DEFECTS[defect]
-    path = write(tmp_path / "run", change(table))
+@contextmanager
+def traced(*, wanted):
+    """Gives a list that has the peak of memory at the end; tracing takes longer than reading."""
+    peak_bytes = []
+    if not wanted:
+        yield peak_bytes
+        return
     tracemalloc.start()
     try:
-        if refused is not None:
-            with pytest.raises(RecordingError, match=refused) as said:
-                read_robot_recording(path, robot)
-            assert "\n" not in str(said.value)
-            return
-        recording = read_robot_recording(path, robot)
-        motion = prepared(recording, robot)
-        peak_bytes = tracemalloc.get_traced_memory()[1]
+        yield peak_bytes
+        peak_bytes.append(tracemalloc.get_traced_memory()[1])
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("write", [as_csv, as_bag])
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_defect_is_named_and_a_leap_of_time_takes_no_memory(
+    tmp_path, table, robot, defect, write
+):
+    change, refused, noted = DEFECTS[defect]
+    path = write(tmp_path / "run", change(table))
+    if refused is not None:
+        with pytest.raises(RecordingError, match=refused) as said:
+            read_robot_recording(path, robot)
+        assert "\n" not in str(said.value)
+        return
+    with traced(wanted="leaps over" in noted) as peak_bytes:
+        recording = read_robot_recording(path, robot)
+        motion = prepared(recording, robot)
     assert any(re.search(noted, note) for note in recording.notes)
-    assert peak_bytes < MOST_BYTES
+    assert all(each < MOST_BYTES for each in peak_bytes)
     assert sum(len(each.time_s) for each in motion.trials) <= 1.1 * len(recording)
 
 

@@ -49,7 +49,9 @@ def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
 )
 def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
     robot = load_robot(write_model(tmp_path))
-    motion = prepared(read_robot_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    motion = prepared(
+        read_robot_recording(recorded(tmp_path / "recording.csv", trials=6), robot), robot
+    )
     system = RobotSystem(robot, motion, {})
     channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     gap = gap_of(45.9, 16.7, 1.0).model_copy(update={"effects_n": 17.0})
@@ -64,7 +66,9 @@ def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
 
 def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):
     robot = load_robot(write_model(tmp_path))
-    motion = prepared(read_robot_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    motion = prepared(
+        read_robot_recording(recorded(tmp_path / "recording.csv", trials=6), robot), robot
+    )
     system = RobotSystem(robot, motion, {})
     residual = np.where(system.trial[:, None] == 3, 9.0, 1.0) * np.ones_like(system.readings)
     said = system.unlisted(problem_of(system), residual).experiment
@@ -74,7 +78,7 @@ def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):
 @pytest.mark.parametrize("forward", [False, True])
 def test_trials_are_called_as_the_file_calls_them(tmp_path, forward):
     robot = load_robot(write_model(tmp_path))
-    table = pd.read_csv(recorded(tmp_path / "recording.csv"))
+    table = pd.read_csv(recorded(tmp_path / "recording.csv", trials=6))
     numbers = np.array([70, 71, 72, 80, 81, 82])
     table["trial"] = numbers[table.trial]
     short = (table.trial == 71) & (table.groupby("trial").cumcount() >= 10)
