@@ -231,7 +231,11 @@ class ReplayedAnswer(NamedTuple):
 
 
 class RebuiltEstimator:
-    """The estimator of a recording, with the recorded model or another arm or model."""
+    """The estimator of a recording, with the recorded model or another arm or model.
+
+    Attributes:
+        placed: its links in the frames of messages, from the first calibration on.
+    """
 
     def __init__(self, run: RecordedRun, arm: str = "", model: str = "") -> None:
         self._run = run
@@ -240,7 +244,7 @@ class RebuiltEstimator:
         self._loaded: Loaded | None = None
         self._estimation: Estimation | None = None
         self._writers: list[WrenchWriter] = []
-        self._placed = PlacedLinks(None)
+        self.placed = PlacedLinks(None)
         self._unknown_force = "zero"
 
     def take(self, raw: RawMessage | CalibrationMessage) -> ReplayedAnswer | None:
@@ -286,7 +290,7 @@ class RebuiltEstimator:
             self._estimation = Estimation(loaded.machine, contacts, provenance.settings, 0.0)
             frames = contact_frames(loaded.machine, provenance.frame_prefix)
             self._writers = wrench_writers(frames)
-            self._placed = PlacedLinks(loaded.machine.link_frames)
+            self.placed = PlacedLinks(loaded.machine.link_frames)
             self._unknown_force = provenance.settings.unknown_force
         assert self._loaded is not None
         settings = provenance.settings
@@ -306,8 +310,8 @@ class RebuiltEstimator:
         segment = answer.contact.segment
         written = b""
         if wrench is not None:
-            placed = self._placed.wrench(segment, wrench)
-            written = bytes(self._writers[segment].write(stamp, placed))
+            in_frame = self.placed.wrench(segment, wrench)
+            written = bytes(self._writers[segment].write(stamp, in_frame))
         return ReplayedAnswer(stamp, answer, written, len(self._loaded.machine.link_names))
 
     def _load(self, provenance: Provenance) -> Loaded:
@@ -351,7 +355,8 @@ def replay_in_process(
         CableSenseError: the model is not to be found, or does not fit.
     """
     comparison = Comparison()
-    answers = _compared(run, RebuiltEstimator(run, arm, model), comparison)
+    rebuilt = RebuiltEstimator(run, arm, model)
+    answers = _compared(run, rebuilt, comparison)
     if estimates is None:
         for _ in answers:
             pass
@@ -366,15 +371,15 @@ def replay_in_process(
                 segments = [f"p_segment_{n + 1}" for n in range(replayed.segment_count)]
                 head = ("stamp_ns", *ANSWER_COLUMNS, "p_none")
                 table.writerow([*head, *segments, "problem"])
-            table.writerow(_row(replayed))
+            table.writerow(_row(replayed, rebuilt.placed))
     return comparison
 
 
-def _row(replayed: ReplayedAnswer) -> list[object]:
+def _row(replayed: ReplayedAnswer, links: PlacedLinks) -> list[object]:
     answer = replayed.answer
     probabilities = answer.probabilities or ("",) * (replayed.segment_count + 1)
     problem = "" if answer.problem is None else answer.problem.kind.value
-    return [replayed.stamp_ns, *answer_cells(answer), *probabilities, problem]
+    return [replayed.stamp_ns, *answer_cells(answer, links), *probabilities, problem]
 
 
 def _compared(

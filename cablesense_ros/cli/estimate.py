@@ -28,6 +28,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from cablesense_contact.felt import FeltMachine
     from cablesense_online.recorded_estimates import RecordedAnswer
     from cablesense_online.settings import EstimationSettings
     from cablesense_recording.layout import Described
@@ -104,7 +105,7 @@ def estimate(
             answers.append(answer)
             advance(1)
     require_tare(answers, tare_rows)
-    write_atomically(out, _table(answers), OutputError)
+    write_atomically(out, _table(answers, loaded.machine), OutputError)
     links = [name.replace("_", " ") for name in loaded.machine.link_names]
     write_atomically(drawn, _drawn(answers, links, drawn), OutputError)
     summary = _summary(answers)
@@ -150,9 +151,11 @@ def node_settings(**changes: Any) -> EstimationSettings:
     return EstimationSettings.model_validate(values | radians | changes)
 
 
-def _table(answers: Sequence[RecordedAnswer]) -> str:
+def _table(answers: Sequence[RecordedAnswer], machine: FeltMachine) -> str:
     from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
+    from cablesense_online.placed_links import PlacedLinks
 
+    links = PlacedLinks(machine.link_frames)
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("time_s", *ANSWER_COLUMNS, "doubt"))
@@ -160,7 +163,7 @@ def _table(answers: Sequence[RecordedAnswer]) -> str:
         why = answer.doubt or tare_problem
         if answer.problem is not None:
             why = str(answer.problem)
-        table.writerow([_cell(time_s), *map(_cell, answer_cells(answer)), why])
+        table.writerow([_cell(time_s), *map(_cell, answer_cells(answer, links)), why])
     return text.getvalue()
 
 

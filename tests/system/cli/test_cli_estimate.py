@@ -37,6 +37,8 @@ ARM = open_arm("cdsm_lab")
 ROWS = 120
 PUSHED = slice(40, 100)
 PUSH_N = 25.0
+PUSH_DEG = 200.0
+PUSH_ACROSS_N = [PUSH_N * np.sin(np.deg2rad(PUSH_DEG)), PUSH_N * np.cos(np.deg2rad(PUSH_DEG))]
 CABLES = [f"Kraft {number} [kgf]" for number in range(1, 13)]
 JOINTS = [f"axis{number}" for number in range(1, 9)]
 KGF_N = 9.80665
@@ -47,7 +49,7 @@ def run() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A push on segment 3 of a bent arm: times, s, commands, rad, and readings, N."""
     mechanism = mechanism_of(ARM)
     pose_rad = np.deg2rad([4.0, 0.0, -3.0, 5.0, 0.0, 0.0, 2.0, -4.0])
-    push_n = normal_force_n(mechanism, pose_rad, segment=3, angle_deg=200.0, magnitude_n=PUSH_N)
+    push_n = normal_force_n(mechanism, pose_rad, segment=3, angle_deg=PUSH_DEG, magnitude_n=PUSH_N)
     rest, pushed = solve_equilibrium(
         mechanism, [pose_rad, pose_rad], [0.0 * push_n, push_n]
     ).tensions_n
@@ -107,6 +109,8 @@ def test_a_csv_of_other_names_and_units_becomes_a_table_and_a_plot(
     assert {row["segment"] for row in settled} == {"3"}
     for row in settled:
         assert float(row["magnitude_n"]) == pytest.approx(PUSH_N, rel=0.1)
+        across_n = [float(row[f"force_{axis}_n"]) for axis in "yz"]
+        assert across_n == pytest.approx(PUSH_ACROSS_N, abs=0.1 * PUSH_N)
         assert float(row["magnitude_low_n"]) < PUSH_N < float(row["magnitude_high_n"])
         assert float(row["place_low_m"]) <= float(row["place_m"]) <= float(row["place_high_m"])
     assert {row["state"] for row in rows[:10]} <= {"moving", "untared"}
