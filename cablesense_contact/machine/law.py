@@ -14,7 +14,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.observation import Observation, Observer
-from cablesense_contact.machine.soft_contacts import SoftContacts
+from cablesense_contact.machine.soft_contacts import Reading, SoftContacts
 from cablesense_sim.machine.machine import Machine
 
 GRAPH_FORCE_N = 200.0
@@ -87,7 +87,7 @@ class MachineLaw:
             stated = self._stated(observed)
         else:
             explained = [
-                self._soft.explained(reading, command, mean, covariance, unrest_n2_m2)
+                self._soft.explained(Reading(reading, command, mean, covariance, unrest_n2_m2))
                 for reading, command in rows
             ]
             observed = [one.observation for one in explained]
