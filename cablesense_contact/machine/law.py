@@ -14,9 +14,8 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.observation import Observation, Observer
-from cablesense_sim.machine.description import MachineError
+from cablesense_contact.machine.soft_contacts import Reading, SoftContacts
 from cablesense_sim.machine.machine import Machine
-from cablesense_sim.machine.statics import LinkForce
 
 GRAPH_FORCE_N = 200.0
 """Largest lateral force that the statement's constants are made for; forces are scaled to it."""
@@ -31,17 +30,12 @@ EVIDENCE = (
     "untouched_chi2",
     "levers",
     "by_torsion",
+    "log_share",
 )
 """Inputs of the graph in a machine's model file, see `cablesense_training.law.evidence`."""
 
 STATED = LawOutput._fields[: LawOutput._fields.index("fault_n") + 1]
 """Outputs of that graph."""
-
-_OBSERVATIONS_AGAIN = 2
-"""Times that an observation is made again, linear about the contact that it says."""
-
-_WORSE = 10.0
-"""It is not taken where its contact leaves χ² by this much larger: it led away."""
 
 _OF_FORCE = ("force_n", "magnitude_ci95_n", "moment_n_m", "moment_std_n_m", "fault_n")
 """Outputs that scale with force."""
@@ -68,6 +62,7 @@ class MachineLaw:
         self.observer = Observer(machine)
         self._state = state
         self._largest_n = machine.source.file.touch.largest_n
+        self._soft = SoftContacts(self.observer, self._stated)
         self._per_newton = GRAPH_FORCE_N / self._largest_n
 
     def __call__(
@@ -83,28 +78,22 @@ class MachineLaw:
         The parameters have a mean (P,) and a covariance (P, P), torques by motion the covariance
         `unrest_n2_m2` (n, n).
         """
-        observed = [
-            self.observer.observe(reading, command, mean, covariance, unrest_n2_m2)
-            for reading, command in zip(reading_n, command_rad, strict=True)
-        ]
-        stated = self._stated(observed)
-        for _ in range(_OBSERVATIONS_AGAIN):
-            again = [
-                self._about_the_contact(
-                    row, seen, stated, command_rad[row], mean, covariance, unrest_n2_m2
-                )
-                for row, seen in enumerate(observed)
-            ]
-            if all(new is None for new in again):
-                break
-            renewed = [new or seen for new, seen in zip(again, observed, strict=True)]
-            restated = self._stated(renewed)
-            keeps = restated["contact_chi2"] > stated["contact_chi2"] + _WORSE
+        rows = zip(reading_n, command_rad, strict=True)
+        if self.observer.determines_pose:
             observed = [
-                old if keep else new
-                for old, new, keep in zip(observed, renewed, keeps, strict=True)
+                self.observer.observe(reading, command, mean, covariance, unrest_n2_m2)
+                for reading, command in rows
             ]
-            stated = self._stated(observed) if keeps.any() else restated
+            stated = self._stated(observed)
+        else:
+            explained = [
+                self._soft.explained(Reading(reading, command, mean, covariance, unrest_n2_m2))
+                for reading, command in rows
+            ]
+            observed = [one.observation for one in explained]
+            stated = {
+                name: np.concatenate([one.stated[name] for one in explained]) for name in STATED
+            }
         parts = _stacked(observed)
         # a force that takes a tendon slack reads as any larger one does
         stated["magnitude_ci95_n"][parts.is_slack, 1] = self._largest_n
@@ -119,37 +108,12 @@ class MachineLaw:
             pose_rad=parts.pose,
         )
 
-    def _about_the_contact(
-        self,
-        row: int,
-        seen: Observation,
-        stated: Mapping[str, Array],
-        command: Array,
-        mean: Array,
-        covariance: Array,
-        unrest: Array,
-    ) -> Observation | None:
-        """The observation linear about the machine at rest under the likeliest contact.
-
-        None where the pose under a contact is determined by the readings alone, where there is no
-        contact, or none that the machine would bear.
-        """
-        link = int(stated["contact_evidence"][row].argmax())
-        is_determined = self.machine.is_measured or len(seen.innovation) >= len(seen.pose)
-        if is_determined or stated["contact_evidence"][row, link] <= 0.0:
-            return None
-        point_m = np.array([float(stated["place_m"][row]), 0.0, 0.0])
-        contact = LinkForce(link, point_m, stated["force_n"][row])
-        try:
-            pose = self.observer.pose_under(contact, command, mean, seen.pose)
-        except MachineError:
-            return None
-        return self.observer.observe(seen.reading, command, mean, covariance, unrest, pose)
-
-    def _stated(self, observed: Sequence[Observation]) -> dict[str, Array]:
+    def _stated(
+        self, observed: Sequence[Observation], log_share: Array | None = None
+    ) -> dict[str, Array]:
         """What the statement makes of observations; forces are scaled to those it is made for."""
         scale = self._per_newton
-        stated = dict(self._state(evidence_of(observed, self._largest_n)))
+        stated = dict(self._state(evidence_of(observed, self._largest_n, log_share)))
         for name in _OF_FORCE:
             stated[name] = stated[name] / scale
         units = np.array([1.0, scale, scale, scale])
@@ -157,7 +121,9 @@ class MachineLaw:
         return stated
 
 
-def evidence_of(observed: Sequence[Observation], largest_n: float) -> dict[str, Array]:
+def evidence_of(
+    observed: Sequence[Observation], largest_n: float, log_share: Array | None = None
+) -> dict[str, Array]:
     """`EVIDENCE` of observations, in a unit of force by which `largest_n` is `GRAPH_FORCE_N`."""
     scale = GRAPH_FORCE_N / largest_n
     seen = _stacked(observed)
@@ -177,6 +143,7 @@ def evidence_of(observed: Sequence[Observation], largest_n: float) -> dict[str, 
         "untouched_chi2": (pull * innovation).sum((1, 2)),
         "levers": seen.levers,
         "by_torsion": seen.torsion,
+        "log_share": np.zeros(seen.levers.shape[:2]) if log_share is None else log_share,
     }
 
 

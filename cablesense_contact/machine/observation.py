@@ -142,10 +142,13 @@ class Observer:
     Attributes:
         machine: the machine.
         parameters: what is uncertain about it.
+        determines_pose: whether readings tell the pose of a machine that is touched.
     """
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
+        fewer_channels = len(machine.channels.names) < len(machine.coordinates)
+        self.determines_pose = machine.is_measured or not fewer_channels
         self.parameters = MachineParameters(machine)
         self._holding = Holding(machine)
         self._variance = machine.channels.variance
@@ -210,6 +213,10 @@ class Observer:
         slope = known.load_slope + statics.elastic_slope(balance.moment, tensions_n)
         by_torque = self._by_torque(balance.moment, tensions_n, slope, statics)
         return np.asarray(known.built.gain[:, None] * by_torque[self.machine.channels.tendon])
+
+    def untouched_pose(self, command: Array, mean: Array) -> Array:
+        """(n,) where nothing touches the machine."""
+        return self._known(command, mean).pose
 
     def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.

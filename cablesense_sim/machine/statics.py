@@ -38,7 +38,8 @@ _LEAST_SHARE = 1e-6
 _LONGEST_STEP = 0.5
 """Longest step, rad or m: a machine is another one there."""
 _LESS = 0.1
-"""Share by which a whole step must lessen the force along it."""
+"""Share by which the force behind a step that goes too far must be less than the one before it,
+and by which a step with an old derivative must lessen the force along it."""
 _QUICKLY = 0.02
 """The derivative at constant tensions is used again if a step with it leaves less."""
 
@@ -267,9 +268,10 @@ class MachineStatics:
     ) -> tuple[Array, Array]:
         """Where the machine comes to rest under forces, from a pose (n,) on, and tensions (K,).
 
-        Newton's steps r - H⁻¹ F, shortened until the force along the step is less than it was:
-        rest is where the potential energy is least, and F is its steepest descent. The part of H
-        at constant tensions is used again as long as it leads on quickly.
+        Newton's steps r - H⁻¹ F, shortened until the potential energy falls, which is least at
+        rest, and of which F is the steepest descent. The force along a step may grow: where H is
+        not definite, the machine is on its way from another rest. The part of H at constant
+        tensions is used again as long as it leads on quickly.
 
         Raises:
             MachineError: it finds no rest: the forces are larger than it can bear, or nothing
@@ -287,10 +289,8 @@ class MachineStatics:
             downhill = float(step @ here.residual)
             share = min(1.0, _LONGEST_STEP / length)
             there = self._state(here.pose + share * step, unstretched_m, acting)
-            # a shorter step need not lessen the force along it by as much
-            while (
-                is_fresh and abs(float(step @ there.residual)) > (1.0 - _LESS * share) * downhill
-            ):
+            # the energy falls by about the mean of the forces along the step at both its ends
+            while is_fresh and float(step @ there.residual) < -(1.0 - _LESS) * downhill:
                 share *= 0.5
                 if share < _LEAST_SHARE:
                     raise self._no_rest()

@@ -26,6 +26,8 @@ class Evidence(NamedTuple):
         levers: (B, N, 6, T) torques of unit forces at the links' frames, and their derivatives by
             the distance along the links.
         by_torsion: (B, N, 1, T) torques of unit moments about the links' axes.
+        log_share: (B, N) added to the log evidence of a contact on each link, for what is not
+            linear; None where nothing is.
     """
 
     reading_n: Tensor
@@ -37,6 +39,7 @@ class Evidence(NamedTuple):
     untouched_chi2: Tensor
     levers: Tensor
     by_torsion: Tensor
+    log_share: Tensor | None = None
 
 
 def evidence_of(seen: Measurement) -> Evidence:

@@ -119,6 +119,8 @@ class ContactStatement(nn.Module):
         """The statement."""
         wrench = self.wrench(seen)
         contact = self.contact(wrench, self.wrench)
+        if seen.log_share is not None:
+            contact = contact._replace(log_evidence=contact.log_evidence + seen.log_share)
         rival = self.rivals(seen, wrench)
         best = contact.log_evidence.argmax(1, keepdim=True)
         chosen = (best == self.numbers).to(seen.reading_n.dtype)[:, None]

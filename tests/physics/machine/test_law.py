@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from cablesense_base import Array
+from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
+from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
@@ -224,3 +226,43 @@ def test_two_tendons_tell_the_force_in_their_plane_where_the_place_is_known(
     assert high_n - low_n < 0.4
     judgement = Judge(FeltModel(machine))(seen, rest.values)
     assert judgement.state is ContactState.CONTACT
+
+
+def test_a_soft_machine_that_was_tared_straight_is_untouched_in_other_poses() -> None:
+    """Its forty hinges give way to eight tensions; no push may explain what tolerances make."""
+    machine = example_machine("continuum")
+    trial = Trial(machine, seed=17)
+    calibrator = Calibrator(FeltModel(machine), trial.law)
+    straight = Holding(machine).command_of(machine.reference)
+    still = np.zeros((len(machine.coordinates), len(machine.coordinates)))
+    misfits = []
+    for number in range(8):
+        built = trial.machine_as_built()
+        tare_n = machine.channels.read(built.untouched(straight).values, trial.rng)
+        known = calibrator.updated(calibrator.by_tolerances(), Unloaded(tare_n, straight, 1))
+        command = bent_command(machine, seed=400 + number, reach_deg=10.0)
+        reading = machine.channels.read(built.untouched(command).values, trial.rng)
+        seen = trial.law(reading[None], command[None], known.mean, known.covariance, still)
+        assert seen.contact_evidence.max() < 0.0
+        misfits.append(seen.free_chi2[0])
+    # of 64 numbers; more than 100 but for 1 in 1000
+    assert np.sum(misfits) < 105.0
+
+
+@pytest.mark.parametrize("link", [3, 6, 11])
+def test_a_firm_push_on_a_soft_machine_is_found_where_it_is(link: int) -> None:
+    """It bends the machine by ten degrees: what is linear about the untouched one is far off."""
+    machine = example_machine("continuum")
+    trial = Trial(machine, seed=18, scale=0.1)
+    command = bent_command(machine, seed=500 + link, reach_deg=10.0)
+    built = trial.machine_as_built()
+    untouched = built.untouched(command)
+    contact = LinkForce(link, np.array([0.008, 0.0, 0.0]), np.array([0.0, 1.8, 2.2]))
+    rest = built.touched(command, (contact,), untouched)
+    assert np.rad2deg(np.abs(rest.pose - untouched.pose).max()) > 8.0
+    reading = machine.channels.read(rest.values, trial.rng)
+    seen = trial.stated(reading[None], command[None])
+    along_m = 0.015 * link + 0.008
+    low_m, high_m = seen.region_m[0]
+    assert low_m < along_m < high_m
+    assert high_m - low_m < 0.09

@@ -1,0 +1,192 @@
+"""Contacts on machines whose readings do not determine their pose, as they have fewer channels.
+
+A soft machine gives way under a contact, and how far it does depends on which contact it is. So
+what a reading says of a contact is taken linear about the machine at rest under that contact, and
+what it says of an untouched machine about the untouched one. Contacts are sought from several
+links, as from a wrong one Newton's steps may lead to another that explains the reading worse.
+
+Evidence is against "nothing touches". Observations x about a touched machine have the covariance
+S, those about the untouched one, x_0, the covariance S_0; evidence e of the former becomes
+
+    ln e + ln N(x; 0, S) - ln N(x_0; 0, S_0),
+
+and each link has the largest that any pose of the search gives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.machine.observation import Observation, Observer
+from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.statics import LinkForce
+
+_STARTS = 5
+"""Links from which a contact is sought, evenly along all."""
+_STEPS_OF_A_START = 2
+"""Newton's steps of the force from each of them."""
+_REFINEMENTS = 2
+"""Times that the likeliest contact of all is refined, at most."""
+
+_OF_CONTACTS = (
+    "contact_evidence",
+    "segment_evidence",
+    "several_evidence",
+    "faulty_segment_evidence",
+)
+"""Outputs of a statement that are evidence of contacts."""
+
+_OF_UNTOUCHED = ("faulty_evidence", "exchanged_evidence", "free_chi2", "fault_n")
+"""Outputs that say something of the untouched machine."""
+
+
+class Stating(Protocol):
+    """Makes statements of observations."""
+
+    def __call__(
+        self, observed: Sequence[Observation], log_share: Array | None = None
+    ) -> Mapping[str, Array]:
+        """Outputs by name; `log_share` (B, N) is added to the log evidence of the N links."""
+        ...
+
+
+class Reading(NamedTuple):
+    """A reading, and what is known of the machine.
+
+    Attributes:
+        values: (M,) of the channels.
+        command: (C,).
+        mean, covariance: (P,) and (P, P) of the parameters.
+        unrest: (n, n) covariance of forces by motion.
+    """
+
+    values: Array
+    command: Array
+    mean: Array
+    covariance: Array
+    unrest: Array
+
+
+class Explained(NamedTuple):
+    """What one reading says, about one pose.
+
+    Attributes:
+        observation: linear about it.
+        stated: the outputs of the statement on it, batches of one.
+    """
+
+    observation: Observation
+    stated: Mapping[str, Array]
+
+    @property
+    def log_evidence(self) -> Array:
+        """(N,) of a contact on each link."""
+        return np.asarray(self.stated["contact_evidence"][0])
+
+    @property
+    def likeliest(self) -> LinkForce:
+        """The likeliest contact."""
+        link = int(self.log_evidence.argmax())
+        point_m = np.array([float(self.stated["place_m"][0]), 0.0, 0.0])
+        return LinkForce(link, point_m, self.stated["force_n"][0])
+
+    @property
+    def log_density(self) -> float:
+        """The logarithm of N(x; 0, S), -½ (χ² + ln det S), without what is the same for all."""
+        log_information = float(np.linalg.slogdet(self.observation.information)[1])
+        return 0.5 * (log_information - float(self.stated["free_chi2"][0]))
+
+
+class SoftContacts:
+    """Explains readings of one machine."""
+
+    def __init__(self, observer: Observer, state: Stating) -> None:
+        links = observer.machine.links
+        count = len(links.names)
+        starts = (np.arange(_STARTS) + 0.5) * count / _STARTS
+        self._observer = observer
+        self._state = state
+        self._starts = np.unique(starts.astype(int)).tolist()
+        self._middle_m = links.touched_m.mean(axis=1)
+        self._largest_n = observer.machine.source.file.touch.largest_n
+
+    def explained(self, reading: Reading) -> Explained:
+        """What a reading says of the machine, about the pose under the likeliest contact."""
+        untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
+        untouched = self._about(untouched_pose, reading)
+        found = [untouched]
+        for link in self._starts:
+            start = self._from_link(link, untouched, reading)
+            if start is not None:
+                found.append(start)
+        best = max(found, key=lambda one: float(one.log_evidence.max()))
+        for _ in range(_REFINEMENTS):
+            if best.log_evidence.max() <= 0.0:
+                break
+            refined = self._under(best.likeliest, best.observation.pose, reading)
+            if refined is None:
+                break
+            refined = _against(untouched, refined)
+            if refined.log_evidence.max() <= best.log_evidence.max():
+                break
+            best = refined
+            found.append(best)
+        log_evidence = np.max([one.log_evidence for one in found], axis=0)
+        if log_evidence.max() <= 0.0:
+            best = untouched
+        log_share = log_evidence - best.log_evidence
+        stated = self._state([best.observation], log_share[np.newaxis])
+        return _against(untouched, Explained(best.observation, stated))
+
+    def _about(self, pose: Array, reading: Reading) -> Explained:
+        """What the reading says about a pose (n,)."""
+        seen = self._observer.observe(
+            reading.values, reading.command, reading.mean, reading.covariance, reading.unrest, pose
+        )
+        return Explained(seen, self._state([seen]))
+
+    def _under(self, contact: LinkForce, near: Array, reading: Reading) -> Explained | None:
+        """About the rest under a contact; None if the machine does not bear it."""
+        try:
+            pose = self._observer.pose_under(contact, reading.command, reading.mean, near)
+        except MachineError:
+            return None
+        return self._about(pose, reading)
+
+    def _from_link(self, link: int, untouched: Explained, reading: Reading) -> Explained | None:
+        """About the rest under the force in the middle of a link that explains a reading best."""
+        explained = untouched
+        for _ in range(_STEPS_OF_A_START):
+            seen = explained.observation
+            under = self._under(self._contact_on(link, seen), seen.pose, reading)
+            if under is None:
+                break
+            explained = under
+        return None if explained is untouched else _against(untouched, explained)
+
+    def _contact_on(self, link: int, seen: Observation) -> LinkForce:
+        """The force across the middle of a link that explains an observation best."""
+        across = seen.levers[link, 1:3] + self._middle_m[link] * seen.levers[link, 4:6]
+        by_force = seen.by_torque @ across.T
+        informed = by_force.T @ seen.information
+        precision = informed @ by_force + np.eye(2) / self._largest_n**2
+        lateral_n = np.linalg.solve(precision, informed @ seen.innovation)
+        size_n = float(np.linalg.norm(lateral_n))
+        lateral_n = lateral_n * (self._largest_n / max(size_n, self._largest_n))
+        point_m = np.array([self._middle_m[link], 0.0, 0.0])
+        return LinkForce(link, point_m, np.append(0.0, lateral_n))
+
+
+def _against(untouched: Explained, touched: Explained) -> Explained:
+    """A statement about a touched machine, with evidence against the untouched one."""
+    gained = touched.log_density - untouched.log_density
+    stated = dict(touched.stated)
+    for name in _OF_CONTACTS:
+        stated[name] = stated[name] + gained
+    for name in _OF_UNTOUCHED:
+        stated[name] = untouched.stated[name]
+    return Explained(touched.observation, stated)
