@@ -15,7 +15,7 @@ and each link has the largest that any pose of the search gives it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -118,29 +118,47 @@ class SoftContacts:
         """What a reading says of the machine, about the pose under the likeliest contact."""
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
         untouched = self._about(untouched_pose, reading)
-        found = [untouched]
-        for link in self._starts:
-            start = self._from_link(link, untouched, reading)
-            if start is not None:
-                found.append(start)
-        best = max(found, key=lambda one: float(one.log_evidence.max()))
-        for _ in range(_REFINEMENTS):
-            if best.log_evidence.max() <= 0.0:
-                break
-            refined = self._under(best.likeliest, best.observation.pose, reading)
-            if refined is None:
-                break
-            refined = _against(untouched, refined)
-            if refined.log_evidence.max() <= best.log_evidence.max():
-                break
+        explanations = [untouched, *self._from_starts(untouched, reading)]
+        best = max(explanations, key=_strength)
+        for refined in self._refinements(best, untouched, reading):
             best = refined
-            found.append(best)
-        log_evidence = np.max([one.log_evidence for one in found], axis=0)
+            explanations.append(refined)
+        log_evidence = np.max([one.log_evidence for one in explanations], axis=0)
         if log_evidence.max() <= 0.0:
             best = untouched
         log_share = log_evidence - best.log_evidence
         stated = self._state([best.observation], log_share[np.newaxis])
         return _against(untouched, Explained(best.observation, stated))
+
+    def _from_starts(self, untouched: Explained, reading: Reading) -> Iterator[Explained]:
+        """About the rests under forces in the middle of some links, each the best there."""
+        for link in self._starts:
+            explained = untouched
+            for _ in range(_STEPS_OF_A_START):
+                seen = explained.observation
+                under = self._under(self._contact_on(link, seen), seen.pose, reading)
+                if under is None:
+                    break
+                explained = under
+            if explained is not untouched:
+                yield _against(untouched, explained)
+
+    def _refinements(
+        self, start: Explained, untouched: Explained, reading: Reading
+    ) -> Iterator[Explained]:
+        """About the rests under ever likelier contacts, from that of an explanation on."""
+        best = start
+        for _ in range(_REFINEMENTS):
+            if _strength(best) <= 0.0:
+                return
+            under = self._under(best.likeliest, best.observation.pose, reading)
+            if under is None:
+                return
+            refined = _against(untouched, under)
+            if _strength(refined) <= _strength(best):
+                return
+            best = refined
+            yield best
 
     def _about(self, pose: Array, reading: Reading) -> Explained:
         """What the reading says about a pose (n,)."""
@@ -157,17 +175,6 @@ class SoftContacts:
             return None
         return self._about(pose, reading)
 
-    def _from_link(self, link: int, untouched: Explained, reading: Reading) -> Explained | None:
-        """About the rest under the force in the middle of a link that explains a reading best."""
-        explained = untouched
-        for _ in range(_STEPS_OF_A_START):
-            seen = explained.observation
-            under = self._under(self._contact_on(link, seen), seen.pose, reading)
-            if under is None:
-                break
-            explained = under
-        return None if explained is untouched else _against(untouched, explained)
-
     def _contact_on(self, link: int, seen: Observation) -> LinkForce:
         """The force across the middle of a link that explains an observation best."""
         across = seen.levers[link, 1:3] + self._middle_m[link] * seen.levers[link, 4:6]
@@ -179,6 +186,11 @@ class SoftContacts:
         lateral_n = lateral_n * (self._largest_n / max(size_n, self._largest_n))
         point_m = np.array([self._middle_m[link], 0.0, 0.0])
         return LinkForce(link, point_m, np.append(0.0, lateral_n))
+
+
+def _strength(explained: Explained) -> float:
+    """The log evidence of the likeliest contact."""
+    return float(explained.log_evidence.max())
 
 
 def _against(untouched: Explained, touched: Explained) -> Explained:
