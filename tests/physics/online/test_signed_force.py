@@ -28,6 +28,10 @@ PUSH_N = 0.4
 UNTOUCHED = 30
 PUSHED = 10
 
+WIRE = '<spatial name="wire"><site site="guide"/><site site="anchor"/></spatial>'
+DRUM = f'<fixed name="wire"><joint joint="bend" coef="{ARM_M}"/></fixed>'
+"""A wire on a drum about the hinge, which the model does not draw."""
+
 UPRIGHT_MODEL = f"""
 <mujoco>
   <option gravity="0 0 0"/>
@@ -39,7 +43,7 @@ UPRIGHT_MODEL = f"""
       <geom type="capsule" fromto="0 0 0 0 0 {REACH_M}" size="0.01" mass="0.2"/>
     </body>
   </worldbody>
-  <tendon><spatial name="wire"><site site="guide"/><site site="anchor"/></spatial></tendon>
+  <tendon>{WIRE}</tendon>
   <actuator><position name="motor" tendon="wire" kp="{SERVO_N_M}"/></actuator>
 </mujoco>
 """
@@ -68,10 +72,11 @@ def table_row(answer: Answer, links: PlacedLinks) -> dict[str, Any]:
     return dict(zip(ANSWER_COLUMNS, answer_cells(answer, links), strict=True))
 
 
-@pytest.fixture
-def finger(tmp_path: Path) -> LoadedMachine:
+@pytest.fixture(params=[WIRE, DRUM], ids=["through sites", "by its joint"])
+def finger(tmp_path: Path, request: pytest.FixtureRequest) -> LoadedMachine:
     """Its axis is z of its body, so that contact angles count in another frame."""
-    machine = written_machine(tmp_path, UPRIGHT_MODEL, UPRIGHT_FILE)
+    model = UPRIGHT_MODEL.replace(WIRE, request.param)
+    machine = written_machine(tmp_path, model, UPRIGHT_FILE)
     return LoadedMachine(machine, MachineLaw(machine, TorchStater(machine)), "")
 
 
