@@ -29,6 +29,7 @@ from cablesense_ros.cli.options import (
 
 if TYPE_CHECKING:
     from cablesense_contact.felt import FeltMachine
+    from cablesense_msgs_py.messages import Contact
     from cablesense_online.recorded_estimates import RecordedAnswer
     from cablesense_online.settings import EstimationSettings
     from cablesense_recording.layout import Described
@@ -176,7 +177,8 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
     from matplotlib.figure import Figure
 
     time_s = np.array([each.time_s for each in answers])
-    force_n = np.array([each.answer.contact.magnitude_n for each in answers])
+    # without a contact it is 0, and so it is where the moment alone is known
+    force_n = np.array([each.answer.contact.magnitude_n or np.nan for each in answers])
     segment = np.array([each.answer.contact.segment for each in answers])
     known = np.array([each.answer.force.known for each in answers])
     bounds = [each.answer.bounds for each in answers]
@@ -186,7 +188,7 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     force_axes, segment_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     force_axes.fill_between(time_s, low_n, high_n, alpha=0.3, lw=0.0, label="its 95 % interval")
-    force_axes.plot(time_s, np.where(segment > 0, force_n, np.nan), lw=1.5, label="contact")
+    force_axes.plot(time_s, force_n, lw=1.5, label="contact")
     for axes in (force_axes, segment_axes):
         axes.fill_between(
             time_s, 0.0, 1.0, where=~known, color="0.9", transform=axes.get_xaxis_transform()
@@ -207,7 +209,7 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
 
 def _summary(answers: Sequence[RecordedAnswer]) -> dict[str, Any]:
     states = Counter(each.answer.force.value for each in answers)
-    strongest = max(answers, key=lambda each: each.answer.contact.magnitude_n)
+    strongest = max(answers, key=_strength)
     contact = strongest.answer.contact
     return {
         "rows": len(answers),
@@ -216,10 +218,20 @@ def _summary(answers: Sequence[RecordedAnswer]) -> dict[str, Any]:
             "time_s": strongest.time_s,
             "segment": contact.segment,
             "place_m": contact.contact_m,
-            "magnitude_n": contact.magnitude_n,
+            "magnitude_n": None if _has_moment_alone(contact) else contact.magnitude_n,
             "state": strongest.answer.force.value,
         },
     }
+
+
+def _strength(answered: RecordedAnswer) -> tuple[float, float]:
+    """By which contacts are compared: by their forces, and below any force by their moments."""
+    contact = answered.answer.contact
+    return contact.magnitude_n, contact.moment_n_m or 0.0
+
+
+def _has_moment_alone(contact: Contact) -> bool:
+    return bool(contact.segment) and contact.magnitude_n == 0.0
 
 
 def _lines(summary: dict[str, Any], links: Sequence[str]) -> list[str]:
@@ -227,8 +239,10 @@ def _lines(summary: dict[str, Any], links: Sequence[str]) -> list[str]:
     lines = [f"{summary['rows']:,} rows: {states}"]
     strongest = summary["strongest"]
     if strongest["segment"]:
+        size_n = strongest["magnitude_n"]
+        size = "by its moment alone" if size_n is None else f"{size_n:.3g} N"
         lines.append(
-            f"strongest: {strongest['magnitude_n']:.3g} N on {links[strongest['segment'] - 1]}, "
+            f"strongest: {size} on {links[strongest['segment'] - 1]}, "
             f"{1e3 * strongest['place_m']:.0f} mm from its joint, at {strongest['time_s']:.2f} s "
             f"({strongest['state']})"
         )

@@ -129,3 +129,10 @@ def test_where_no_force_or_no_direction_is_known_none_is_stated(
         row = table_row(answer, links)
         assert row["segment"] == 1
         assert [row[f"force_{axis}_n"] for axis in "xyz"] == [NO_CELL] * 3
+    by_its_moment = table_row(moment, links)
+    assert by_its_moment["magnitude_n"] == NO_CELL
+    assert by_its_moment["magnitude_low_n"] > 0.0
+    assert by_its_moment["angle_deg"] == pytest.approx(180.0)  # it counts from the body's -x
+    of_network = table_row(of_several, links)
+    assert of_network["magnitude_n"] == pytest.approx(PUSH_N, rel=0.05)
+    assert of_network["angle_deg"] == NO_CELL
