@@ -13,6 +13,7 @@ from cablesense_contact.machine.felt_directions import felt_across, is_planar
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
+from cablesense_ros.cli.machine_info import machine_observability, notes_on_links
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
 from tests.helpers.example_machines import (
@@ -84,6 +85,19 @@ def test_parallel_hinges_feel_forces_across_them(tmp_path: Path, angle: float) -
     np.testing.assert_allclose(
         felt_across(Observer(machine))[0], np.outer(in_frame, in_frame), atol=1e-9
     )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2.0])
+def test_info_says_along_which_direction_a_link_is_felt(tmp_path: Path, angle: float) -> None:
+    """In the axes of its body, across the hinges and the link."""
+    axis = f"0 {np.cos(angle):.12g} {np.sin(angle):.12g}"
+    written_machine(tmp_path, rod_model(axis), ROD_FILE)
+    seen = machine_observability(str(tmp_path / "machine.yaml"))
+    (link,) = seen["links"]
+    along = np.array(link["felt_along"])
+    expected = np.array([0.0, -np.sin(angle), np.cos(angle)])
+    np.testing.assert_allclose(np.abs(along @ expected), 1.0, atol=2e-3)
+    assert "link_5 (0" in notes_on_links(seen)
 
 
 def test_only_the_first_link_of_crossed_hinges_is_felt_in_a_plane() -> None:
