@@ -206,7 +206,10 @@ class FeltMachine(Protocol):
 
     @property
     def known_n(self) -> float:
-        """A force counts as known where half of its interval is below this, N."""
+        """A force counts as known where half of its interval is below this, N.
+
+        One along a link does where its standard deviation is.
+        """
         ...
 
     @property

@@ -82,6 +82,11 @@ def finger(tmp_path: Path, request: pytest.FixtureRequest) -> LoadedMachine:
 
 @pytest.fixture
 def answers(finger: LoadedMachine) -> list[Answer]:
+    """Untouched, pushed towards +x, then towards -x."""
+    return answers_of(finger)
+
+
+def answers_of(finger: LoadedMachine) -> list[Answer]:
     """Untouched, pushed towards +x, then towards -x, each long enough to be at rest."""
     exact = np.zeros(len(finger.machine.parameters))
     observer = finger.law.observer
@@ -136,3 +141,17 @@ def test_where_no_force_or_no_direction_is_known_none_is_stated(
     of_network = table_row(of_several, links)
     assert of_network["magnitude_n"] == pytest.approx(PUSH_N, rel=0.05)
     assert of_network["angle_deg"] == NO_CELL
+
+
+def test_an_axial_force_that_is_not_known_is_not_stated(tmp_path: Path) -> None:
+    """On a surface it turns the hinge a little, so it is estimated, to a tenth of a newton."""
+    on_surface = UPRIGHT_FILE.replace("]}\n", "], radius_m: 0.02}\n")
+    machine = written_machine(tmp_path, UPRIGHT_MODEL, on_surface)
+    finger = LoadedMachine(machine, MachineLaw(machine, TorchStater(machine)), "")
+    _, pushed, _ = answers_of(finger)
+    assert pushed.estimate is not None
+    assert pushed.estimate.place is not None
+    axial_std_n = float(pushed.estimate.place.covariance[1, 1]) ** 0.5
+    assert axial_std_n > finger.machine.known_n
+    assert pushed.estimate.place.along_n != 0.0
+    assert pushed.contact.along_n == 0.0
