@@ -6,7 +6,6 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +13,6 @@ import numpy as np
 import typer
 
 from cablesense_base.files import OutputError, output_file, write_atomically
-from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_base.progress import progress_bar
 from cablesense_ros.cli.options import (
     ColumnsOption,
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from cablesense_contact.felt import FeltMachine
     from cablesense_msgs_py.messages import Contact
     from cablesense_online.recorded_estimates import RecordedAnswer
-    from cablesense_online.settings import EstimationSettings
     from cablesense_recording.layout import Described
     from cablesense_recording.recording import Recording
 
@@ -86,6 +83,7 @@ def estimate(
     """
     from cablesense_online.loading import load
     from cablesense_online.recorded_estimates import recorded_answers, require_tare
+    from cablesense_ros.default_settings import node_settings
 
     if calibration is not None:
         refuse_given(context, ["tare_rows"], "with --calibration, which takes no tare")
@@ -131,25 +129,6 @@ def _read(
     elif described is not None:
         described = described.unloaded
     return read_recording(path, machine, topics, described)
-
-
-def node_settings(**changes: Any) -> EstimationSettings:
-    """The settings of an estimator node that nobody has set, but for some."""
-    from cablesense_online.settings import EstimationSettings
-
-    text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
-    nodes = parse_plain_mapping(text, "parameters.yaml", "nodes", OptionError)
-    entries = nodes["estimator"]
-    values = {
-        name: (nodes["shared"][name] if entry == "shared" else entry)["default"]
-        for name, entry in entries.items()
-    }
-    radians = {
-        name.replace("_deg", "_rad"): float(np.deg2rad(value))
-        for name, value in values.items()
-        if "_deg" in name
-    }
-    return EstimationSettings.model_validate(values | radians | changes)
 
 
 def _table(answers: Sequence[RecordedAnswer], machine: FeltMachine) -> str:

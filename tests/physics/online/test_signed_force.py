@@ -15,7 +15,7 @@ from cablesense_online.machine_models import LoadedMachine
 from cablesense_online.placed_links import PlacedLinks
 from cablesense_online.recorded_estimates import recorded_answers
 from cablesense_recording.recording import Recording
-from cablesense_ros.cli.estimate import node_settings
+from cablesense_ros.default_settings import node_settings
 from cablesense_sim.machine.simulated import SimulatedMachine
 from tests.helpers.example_machines import written_machine
 from tests.helpers.torch_stater import TorchStater
