@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.law import unrest_of_none
+from cablesense_contact.law import no_unrest
 from cablesense_contact.slides import Belief, Slides
 from cablesense_sim.parameter_groups import GroupedParameters
 
@@ -285,4 +285,4 @@ def alike(
 
 def torque_covariance_at_rest(machine: FeltMachine) -> Array:
     """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest."""
-    return unrest_of_none(len(machine.torque_names))
+    return no_unrest(len(machine.torque_names))

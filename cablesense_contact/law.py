@@ -98,6 +98,6 @@ class Law(Protocol):
         ...
 
 
-def unrest_of_none(torque_count: int) -> Array:
+def no_unrest(torque_count: int) -> Array:
     """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest: zero."""
     return np.zeros((torque_count, torque_count))
