@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.law import no_unrest
 from cablesense_contact.slides import Belief, Slides
 from cablesense_sim.parameter_groups import GroupedParameters
 
@@ -206,7 +207,10 @@ class FeltMachine(Protocol):
 
     @property
     def known_n(self) -> float:
-        """A force counts as known where half of its interval is below this, N."""
+        """A force counts as known where half of its interval is below this, N.
+
+        One along a link does where its standard deviation is.
+        """
         ...
 
     @property
@@ -280,6 +284,5 @@ def alike(
 
 
 def torque_covariance_at_rest(machine: FeltMachine) -> Array:
-    """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest: zero."""
-    count = len(machine.torque_names)
-    return np.zeros((count, count))
+    """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest."""
+    return no_unrest(len(machine.torque_names))

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from cablesense_base import Array
 
 
@@ -94,3 +96,8 @@ class Law(Protocol):
     ) -> LawOutput:
         """The posterior; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         ...
+
+
+def no_unrest(torque_count: int) -> Array:
+    """(T, T) covariance, (N·m)², of the torques by motion of a machine at rest: zero."""
+    return np.zeros((torque_count, torque_count))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95
-from cablesense_contact.law import Law
+from cablesense_contact.law import Law, no_unrest
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -110,7 +110,7 @@ class ReferenceContacts:
         variances[:, 1] = (_AXIAL_STD * contacts.force_n) ** 2
         variances[:, 2:] = (_LATERAL_STD * contacts.force_n) ** 2
         self.prior_precision = np.eye(4) / variances[:, None]
-        self._unrest = np.zeros((torque_count, torque_count))
+        self._unrest = no_unrest(torque_count)
 
     @classmethod
     def of_arm(cls, arm: Arm, bend_rad: float = BEND_RAD) -> ReferenceContacts:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cablesense_base import Array
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Unloaded
 from cablesense_recording.recording import Recording, RecordingError
@@ -36,7 +39,11 @@ def with_held_positions(recording: Recording) -> Recording:
 
 
 def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
-    """The mean reading of each stay at one command without a load, in time order.
+    """The mean readings of stays at one command without a load, in time order.
+
+    A touch during a stay may leave the cables slid in other ways, so what is read before and after
+    it are two holds. Stretches that are too short to be one each make one together, of which it is
+    not known how the cables have slid.
 
     Args:
         recording: in which `load_segment` is 0 where nothing acts on the arm.
@@ -48,27 +55,25 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     holds: list[Unloaded] = []
     way = LastWay()
     end = 0
-    for rows in _stays(recording):
-        if rows.start != end or recording.trial[rows.start] != recording.trial[end - 1]:
-            way = LastWay()
-        way = way.to(recording.command_rad[rows.start])
-        end = rows.stop
-        begun_s = recording.time_s[rows.start]
-        times_s = recording.time_s[rows]
-        settled = times_s >= begun_s + SETTLING_S
-        if rows.start == 0:
-            settled[:] = True  # nothing is known of a move before
-        if settled.sum() < FEWEST_READINGS:
-            continue
-        before_end_s = recording.time_s[-1] - times_s[-1]
-        taken_ns = ended_ns - round(1e9 * before_end_s) if ended_ns else 0
-        readings_n = recording.tensions_n[rows][settled]
-        command_rad = recording.command_rad[rows.start]
-        holds.append(
-            Unloaded(
-                readings_n.mean(axis=0), command_rad, len(readings_n), taken_ns, way.came_from_rad
-            )
-        )
+    for stretches in _stays(recording):
+        found: list[_Hold] = []
+        too_short: list[NDArray[np.int64]] = []
+        for stretch in stretches:
+            has_gap = stretch.start != end
+            if has_gap or recording.trial[stretch.start] != recording.trial[end - 1]:
+                way = LastWay()
+            way = way.to(recording.command_rad[stretch.start])
+            end = stretch.stop
+            rows = _settled(recording, stretch)
+            if len(rows) >= FEWEST_READINGS:
+                found.append(_Hold(rows, way.came_from_rad))
+            else:
+                too_short.append(rows)
+        together = np.concatenate(too_short) if too_short else np.zeros(0, dtype=np.int64)
+        if len(together) >= FEWEST_READINGS:
+            found.append(_Hold(together, None))
+        found.sort(key=lambda hold: int(hold.rows[-1]))
+        holds += [_mean_of(recording, hold, ended_ns) for hold in found]
     if not holds:
         raise RecordingError(
             f"{recording.name}: the arm never rests unloaded (load_segment 0) at one command for "
@@ -78,14 +83,53 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     return holds
 
 
-def _stays(recording: Recording) -> Iterator[slice]:
-    """Runs of rows without a load and with one and the same command."""
-    unloaded = recording.load_segment == 0
+class _Hold(NamedTuple):
+    """Settled readings at one command.
+
+    Attributes:
+        rows: (R,) numbers of the rows, in time order.
+        came_from_rad: (C,) as of `Unloaded`.
+    """
+
+    rows: NDArray[np.int64]
+    came_from_rad: Array | None
+
+
+def _settled(recording: Recording, stretch: slice) -> NDArray[np.int64]:
+    """(R,) the rows of an unloaded stretch once its move, or its touch, has settled."""
+    rows = np.arange(stretch.start, stretch.stop)
+    if stretch.start == 0:
+        return rows  # nothing is known of a move before
+    return rows[recording.time_s[rows] >= recording.time_s[stretch.start] + SETTLING_S]
+
+
+def _mean_of(recording: Recording, hold: _Hold, ended_ns: int) -> Unloaded:
+    last = hold.rows[-1]
+    before_end_s = recording.time_s[-1] - recording.time_s[last]
+    return Unloaded(
+        reading_n=recording.tensions_n[hold.rows].mean(axis=0),
+        command_rad=recording.command_rad[last],
+        count=len(hold.rows),
+        taken_ns=ended_ns - round(1e9 * before_end_s) if ended_ns else 0,
+        came_from_rad=hold.came_from_rad,
+    )
+
+
+def _stays(recording: Recording) -> Iterator[list[slice]]:
+    """The stretches without a load of each stay at one and the same command in one trial."""
     moved = (np.diff(recording.command_rad, axis=0) != 0.0).any(axis=1)
     other_trial = np.diff(recording.trial) != 0
-    loaded = np.diff(unloaded.astype(int)) != 0
-    ends = np.flatnonzero(moved | loaded | other_trial) + 1
-    bounds = [0, *ends.tolist(), len(recording)]
-    for start, stop in pairwise(bounds):
-        if unloaded[start]:
-            yield slice(start, stop)
+    for start, stop in _runs(moved | other_trial):
+        unloaded = recording.load_segment[start:stop] == 0
+        stretches = [
+            slice(start + first, start + behind)
+            for first, behind in _runs(np.diff(unloaded.astype(int)) != 0)
+            if unloaded[first]
+        ]
+        yield stretches
+
+
+def _runs(changes: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """First rows of runs, and the rows behind them, where (R - 1,) say what changes between."""
+    ends = np.flatnonzero(changes) + 1
+    return pairwise([0, *ends.tolist(), len(changes) + 1])

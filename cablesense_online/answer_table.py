@@ -24,7 +24,8 @@ ANSWER_COLUMNS: Final = (
 """Angle, force and place of the stated contact are empty without one. The ends of the force's 95 %
 interval are empty without an estimate; without a contact the upper one may act unseen. `force_…`
 are the stated force along the axes of the segment's frame, or of the link's body, as in the
-wrench. They are empty where the moment alone is known, and of networks that give no direction."""
+wrench. They are empty, as is the force, where the moment alone is known, and, as is the angle, of
+networks that give no direction."""
 NO_CELL = ""
 
 
@@ -33,17 +34,19 @@ def answer_cells(answer: Answer, links: PlacedLinks) -> list[object]:
     contact = answer.contact
     bounds = answer.bounds
     region_m = answer.region_m
-    stated: list[object] = [NO_CELL, NO_CELL]
-    if contact.segment:
-        stated = [contact.angle_deg, contact.magnitude_n]
+    has_direction = bool(contact.segment) and answer.estimate is not None
+    has_force = contact.magnitude_n > 0.0
+    angle_deg: object = contact.angle_deg if has_direction else NO_CELL
+    magnitude_n: object = contact.magnitude_n if has_force else NO_CELL
     ends: list[object] = [NO_CELL, NO_CELL]
     if bounds is not None:
         ends = [bounds[0].magnitude_n, bounds[1].magnitude_n]
     force: list[object] = [NO_CELL, NO_CELL, NO_CELL]
-    if contact.magnitude_n > 0.0 and answer.estimate is not None:
+    if has_direction and has_force:
         force = [*links.wrench(contact.segment, contact.wrench)[:3]]
     place: list[object] = [NO_CELL, NO_CELL, NO_CELL]
     if contact.segment:
         low_m, high_m = region_m or (NO_CELL, NO_CELL)
         place = [contact.contact_m, low_m, high_m]
-    return [answer.force.value, contact.segment, *stated, *ends, *force, *place]
+    stated: list[object] = [angle_deg, magnitude_n, *ends, *force, *place]
+    return [answer.force.value, contact.segment, *stated]

@@ -26,9 +26,6 @@ from cablesense_online.tare import UnloadedArm
 from cablesense_online.tared_arm import TaredArm, TaredState
 from cablesense_sim.arm import Arm, of_each_segment
 
-_ALONG_KNOWN_N = 1.0
-"""An axial force is stated if its standard deviation is below this."""
-
 _STATES = {
     ContactState.FREE: ForceState.FREE,
     ContactState.CONTACT: ForceState.CONTACT,
@@ -216,12 +213,13 @@ class LawContacts:
             y = around_z
             z = -around_y
         along_std_n = float(seen.contact_covariance[0, 1, 1]) ** 0.5
+        is_along_known = along_std_n < self._machine.known_n
         return Contact(
             judgement.segment,
             math.degrees(math.atan2(y, z)) % 360.0,
             math.hypot(y, z) if known else 0.0,
             float(seen.place_m[0]),
-            along_n if along_std_n < _ALONG_KNOWN_N else 0.0,
+            along_n if is_along_known else 0.0,
             moment_n_m,
         )
 

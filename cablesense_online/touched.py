@@ -1,4 +1,4 @@
-"""A simulated machine that is touched once, and what the running estimator says: one moment."""
+"""A simulated machine that is touched once, and what the running estimator says: one instant."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def _snapshot(
         bounds=bounds,
         probabilities=np.array(answer.probabilities) if answer.probabilities else None,
         status=ShownStatus(answer.force.level, sentence),
-        moment=moment,
+        known_by_moment=moment,
         region=region,
     )
 

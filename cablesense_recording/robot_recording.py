@@ -317,6 +317,51 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         RecordingError: a column is missing or of another robot, a cell is empty, or time does not
             increase.
     """
+    rows = _row_count(path, table)
+    _refuse_other_names(path, table, channels)
+    present = [channel for channel in channels.table if channel.label in table]
+    measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
+    numbered = any(channel.kind is Kind.TRIAL for channel in measured)
+    begin, end = _begun(table, measured)
+    _refuse_impossible_cells(path, table, measured, begin, end)
+    trial = np.zeros(rows, dtype=np.int64)
+    if numbered:
+        trial = np.cumsum(np.diff(table[TRIAL], prepend=table[TRIAL][0]) != 0.0)
+    _refuse_impossible_times(path, table[TIME], trial, bag=bag)
+    notes = list(_trimmed(measured, rows, begin, end))
+    if end - begin < 2:
+        raise RecordingError(
+            f"{path}: no two rows have numbers in all of {some_of([c.label for c in measured])}"
+        )
+    used = slice(begin, end)
+    first_row = begin + 1
+    time_s = table[TIME][used]
+    trial = trial[used] - trial[begin]
+    if numbered:
+        notes += _returning(table[TRIAL][used], trial)
+    position = _stacked(table, channels.labels(Kind.POSITION), used)
+    leap, sentences = _leaps(path, channels, time_s, trial, position, first_row)
+    notes += sentences
+    by_number = trial + np.cumsum(leap)
+    trial = by_number if numbered else _by_pauses(time_s, position, leap)
+    columns = {
+        TIME: time_s,
+        TRIAL: trial.astype(np.float64),
+        "position": position,
+        "torque": _stacked(table, channels.labels(Kind.TORQUE), used),
+        "command": _stacked(table, channels.labels(Kind.COMMAND), used),
+    }
+    return _Part(
+        path=path,
+        first_row=first_row,
+        columns=columns,
+        notes=tuple(notes),
+        stated_trial=table[TRIAL][used] if numbered else None,
+    )
+
+
+def _row_count(path: Path, table: _Columns) -> int:
+    """Rows of a table that has times."""
     if TIME not in table:
         near = [name for name in table if "time" in name.lower()]
         hint = f"; {near[0]} is there: it must be time_s, in seconds" if near else ""
@@ -324,73 +369,74 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     rows = len(table[TIME])
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
-    _refuse_other_names(path, table, channels)
-    present = [channel for channel in channels.table if channel.label in table]
-    measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
-    names = RowNames(np.arange(1, rows + 1))
-    begin, end = _begun(table, measured)
+    return rows
+
+
+def _refuse_impossible_cells(
+    path: Path, table: _Columns, measured: Sequence[Channel], begin: int, end: int
+) -> None:
+    """Refuse empty cells in the rows from `begin` to `end`, and numbers of no measurement."""
     for channel in measured:
-        _refuse_gaps(path, channel, table[channel.label], begin, end)
+        values = table[channel.label]
+        _refuse_gaps(path, channel, values, begin, end)
         if channel.kind not in (Kind.TIME, Kind.TRIAL):
-            for finding in huge_values(channel.label, table[channel.label], names):
+            for finding in huge_values(channel.label, values, _row_names(values)):
                 raise RecordingError(f"{path}: {finding.text}")
-    numbered = any(channel.kind is Kind.TRIAL for channel in measured)
-    trial = np.zeros(rows, dtype=np.int64)
-    if numbered:
-        trial = np.cumsum(np.diff(table[TRIAL], prepend=table[TRIAL][0]) != 0.0)
-    time_s = table[TIME]
+
+
+def _refuse_impossible_times(
+    path: Path, time_s: Array, trial: NDArray[np.int64], *, bag: bool
+) -> None:
+    """Refuse times (R,) that do not increase; those of a file may begin again with a trial."""
     may_restart = np.append(False, np.diff(trial) != 0) & (not bag)
-    for finding in time_findings(time_s, may_restart, names, of_bag=bag):
+    for finding in time_findings(time_s, may_restart, _row_names(time_s), of_bag=bag):
         raise RecordingError(f"{path}: {finding.text}")
-    notes = list(_trimmed(measured, rows, begin, end))
-    used = slice(begin, end)
-    if end - begin < 2:
-        raise RecordingError(
-            f"{path}: no two rows have numbers in all of {some_of([c.label for c in measured])}"
-        )
-    trial = trial[used] - trial[begin]
-    if numbered:
-        notes += _returning(table[TRIAL][used], trial)
-    leap = leaps(time_s[used], trial)
+
+
+def _row_names(column: Array) -> RowNames:
+    """Those of all rows of a file, from 1."""
+    return RowNames(np.arange(1, len(column) + 1))
+
+
+def _stacked(table: _Columns, labels: Sequence[str], used: slice) -> Array:
+    """(R, C) columns of some labels in the rows that are used; NaN where there is none."""
+    nothing = np.full(len(table[TIME]), np.nan)
+    columns = [table.get(label, nothing)[used] for label in labels]
+    count = used.stop - used.start
+    return np.ascontiguousarray(np.array(columns).reshape(len(labels), count).T)
+
+
+def _leaps(
+    path: Path,
+    channels: RobotChannels,
+    time_s: Array,
+    trial: NDArray[np.int64],
+    position: Array,
+    first_row: int,
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """(R,) the rows at which time or a position (R, J) leaps, and what is said of them.
+
+    Raises:
+        RecordingError: times are uneven, or positions leap back and forth.
+    """
+    notes: list[str] = []
+    leap = leaps(time_s, trial)
     if leap.any():
-        notes.append(parted_sentence(time_s[used], leap, begin + 1))
-    for finding in uneven_time(time_s[used], trial + np.cumsum(leap)):
-        raise RecordingError(f"{path}: {finding.text}")
-
-    def stacked(kind: Kind) -> Array:
-        labels = channels.labels(kind)
-        columns = [table.get(label, np.full(rows, np.nan))[used] for label in labels]
-        return np.ascontiguousarray(np.array(columns).reshape(len(labels), end - begin).T)
-
-    position = stacked(Kind.POSITION)
-    labels = channels.labels(Kind.POSITION)
+        notes.append(parted_sentence(time_s, leap, first_row))
     parted = trial + np.cumsum(leap)
+    for finding in uneven_time(time_s, parted):
+        raise RecordingError(f"{path}: {finding.text}")
     of_positions = [channel for channel in channels.table if channel.kind is Kind.POSITION]
     for channel, joint_position in zip(of_positions, position.T, strict=True):
-        for finding in leaps_and_returns(channel, joint_position, parted, begin + 1):
+        for finding in leaps_and_returns(channel, joint_position, parted, first_row):
             if finding.refuses:
                 raise RecordingError(f"{path}: {finding.text}")
             notes.append(f"{finding.text}.")
     jump = position_leaps(position, parted)
     if jump.any():
-        notes.append(leap_sentence(labels, position, jump, begin + 1))
-    leap |= jump
-    by_number = trial + np.cumsum(leap)
-    trial = by_number if numbered else _by_pauses(time_s[used], position, leap)
-    columns = {
-        TIME: time_s[used],
-        TRIAL: trial.astype(np.float64),
-        "position": position,
-        "torque": stacked(Kind.TORQUE),
-        "command": stacked(Kind.COMMAND),
-    }
-    return _Part(
-        path=path,
-        first_row=begin + 1,
-        columns=columns,
-        notes=tuple(notes),
-        stated_trial=table[TRIAL][used] if numbered else None,
-    )
+        labels = channels.labels(Kind.POSITION)
+        notes.append(leap_sentence(labels, position, jump, first_row))
+    return leap | jump, notes
 
 
 def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:

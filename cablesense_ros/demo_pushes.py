@@ -121,7 +121,7 @@ def make_script(
 
 
 class PushRecord(NamedTuple):
-    """Snapshots at K moments, and their times (K,) since the start of the script, s."""
+    """Snapshots at K instants, and their times (K,) since the start of the script, s."""
 
     times_s: Array
     snapshots: Sequence[Snapshot]
@@ -166,7 +166,7 @@ class PushResult:
 
     Attributes:
         estimate: None when nothing was reported for most of it.
-        sample_count: steady moments looked at; 0 when no estimates came.
+        sample_count: steady instants looked at; 0 when no estimates came.
         force_ci95_n: ends of the stated interval; None without one.
         place_ci95_m: ends of the stated interval, each with its segment; None without one.
     """
@@ -225,7 +225,7 @@ class PushResult:
 
 def seen(now: Snapshot) -> Contact | None:
     """The estimate of the strongest contact."""
-    return now.moment or next(iter(now.estimated), None)
+    return now.known_by_moment or next(iter(now.estimated), None)
 
 
 def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[PushResult]:
@@ -235,8 +235,8 @@ def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[Pus
         steady = (played.times_s >= push.start_s + SETTLING_S) & (
             played.times_s < push.end_s - 0.1
         )
-        moments = [played.snapshots[i] for i in np.flatnonzero(steady).tolist()]
-        answered = [now for now in moments if now.answered]
+        steady_snapshots = [played.snapshots[i] for i in np.flatnonzero(steady).tolist()]
+        answered = [now for now in steady_snapshots if now.answered]
         contacts = [seen(now) for now in answered]
         ends = _median_ends(answered)
         results.append(PushResult(push, _median(contacts), len(contacts), *ends))

@@ -10,12 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import reprlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import read_bounded_text
@@ -64,6 +65,15 @@ class CableAngles(FilePart):
     per_cable: Annotated[Number, Field(ge=-360.0, le=360.0)]
 
 
+def _one_for_all_segments(count: Any) -> Any:
+    if isinstance(count, list):
+        raise ValueError(
+            f"= {reprlib.repr(count)}: must be one whole number, as on all segments end as many "
+            "cables; describe an arm with other numbers by a machine file (docs/machines.md)"
+        )
+    return count
+
+
 class CableSet(FilePart):
     """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
 
@@ -71,7 +81,7 @@ class CableSet(FilePart):
     is the cable's own E*A, to which the actuator's stiffness is then added in series.
     """
 
-    per_segment: Annotated[Count, Field(ge=3, le=16)]
+    per_segment: Annotated[Count, BeforeValidator(_one_for_all_segments), Field(ge=3, le=16)]
     routing_radius_m: PerSegmentRadius
     angle_deg: CableAngles
     stiffness_n_m: Annotated[Number, Field(ge=1e2, le=1e9)] | None = None

@@ -77,6 +77,7 @@ class ParameterSources:
         self.rows[stiffness, slices["tendon_stiffness"]] = np.eye(tendons)
         self.rows[pretension, slices["pretension"]] = np.eye(tendons)
         self.rows[springs, slices["joint_stiffness"]] = np.eye(len(parameters.springs))
+        self.rows[springs, slices["common_joint_stiffness"]] = 1.0
         if machine.source.file.joints == "commanded":
             held = built.statics.at(command).moment
             zeros = np.concatenate(

@@ -217,7 +217,8 @@ def own_columns(problem: Problem, fitted: Hypothesis) -> tuple[Hypothesis, list[
 
 
 MOST_EFFECTS = 7
-"""In one hypothesis: a recording of the usual protocol does not distinguish more."""
+"""In one hypothesis: a recording of the usual protocol does not distinguish more. The measurement
+`benchmarks/search_ablation.py` searches without it."""
 
 _WIDTH = 6
 """Sets that are grown at once: the place that helps most at first is not always in the best."""

@@ -35,6 +35,11 @@ _DBC_ENCODING = "cp1252"
 _SIZES = re.compile(r"(?m)^\s*(?:BO_[^:\n]*:\s*(\d+)|SG_[^:\n]*:\s*(\d+)\s*\|\s*(\d+))")
 _LARGEST_SIZE = 8 * 1785
 """The bits of J1939's longest message. cantools takes memory for every bit that a line claims."""
+_HAS_BIG_ENDIAN = re.compile(r"(?m)^\s*SG_[^:\n]*:\s*\d+\s*\|\s*\d+\s*@\s*0")
+_BIG_ENDIAN = (
+    "a big-endian signal (@0) starts at its highest bit, which is 7 in byte 0, 15 in byte 1, 23 "
+    "in byte 2 and so on"
+)
 _SCALES_HEAD = """\
 # Scale and zero of tension sensors, from known loads. Give it to the driver as
 # -p sensor_calibration_file:=…
@@ -218,9 +223,12 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
     except Exception as error:  # the parser raises errors of many kinds
         line = " ".join(str(error).split())[:300] or type(error).__name__
+        hint = (
+            f"; {_BIG_ENDIAN}" if "does not fit" in line and _HAS_BIG_ENDIAN.search(text) else ""
+        )
         raise ChannelMapError(
             f"{source}: not a valid DBC file ({line}); no signal may exceed its message or "
-            "overlap another"
+            f"overlap another{hint}"
         ) from error
     if not isinstance(database, Database) or not database.messages:
         raise ChannelMapError(f"{source}: holds no messages; a DBC file has a BO_ line for each")

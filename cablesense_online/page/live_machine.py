@@ -296,7 +296,7 @@ class LiveMachine:
                 bounds=bounds,
                 probabilities=self._probabilities if state.known else None,
                 status=self._status(state, sentence, now_s),
-                moment=moment,
+                known_by_moment=moment,
                 region=self._region if located else (),
                 machine_known=self._known(now_s),
                 commissioning=self._commissioning_progress(now_s),

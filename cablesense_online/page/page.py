@@ -54,7 +54,7 @@ class _ReadingFigures:
         self._numbers = gui.add_html("")
 
     def add(self, time_s: float, readings: Array) -> None:
-        """Keeps the readings (M,) of all channels at a moment."""
+        """Keeps the readings (M,) of all channels at an instant."""
         self.trace.buffer.add(time_s, readings[self._channels])
 
     def values(self, readings: Array | None) -> Array | None:
@@ -253,7 +253,7 @@ class Page:
             self._score.reset()
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draws one moment: the scene every time, figures and traces a few times a second."""
+        """Draws one instant: the scene every time, figures and traces a few times a second."""
         with self._lock:
             self._score.add(snapshot)
         if snapshot.readings is not None:

@@ -158,7 +158,7 @@ class MachineScene:
         self._estimated = _Forces(scene, count, arrows, "est.", ESTIMATE_RGB, "bottom-left")
 
     def show(self, snapshot: Snapshot, full_scale_n: float) -> None:
-        """Draws a moment; cables are coloured against the legend's full scale, N."""
+        """Draws an instant; cables are coloured against the legend's full scale, N."""
         drawn = self._shown.drawn_at(np.round(snapshot.pose, _POSE_DIGITS))
         turns = Rotation.from_matrix(drawn.body_axes).as_quat(scalar_first=True)
         for frame, body_m, turn in zip(self._bodies, drawn.body_m, turns, strict=True):

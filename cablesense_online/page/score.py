@@ -1,4 +1,4 @@
-"""The errors of the estimate, as the page adds them up over moments at rest."""
+"""The errors of the estimate, as the page adds them up over instants at rest."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def angle_error_deg(a_deg: float, b_deg: float) -> float:
 
 
 class Errors(NamedTuple):
-    """Mean errors over the moments at rest with an answer; None before the first.
+    """Mean errors over the instants at rest with an answer; None before the first.
 
     Attributes:
-        pushed: number of moments in which something pushed.
-        untouched: number of moments in which nothing did.
-        unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
-        segment_right: share, 0 … 1, of the pushed moments with the right segments.
-        false_contacts: share, 0 … 1, of the untouched moments with a contact.
+        pushed: number of instants at which something pushed.
+        untouched: number of instants at which nothing did.
+        unanswered: share, 0 … 1, of the instants at rest at which the estimator gave no answer.
+        segment_right: share, 0 … 1, of the pushed instants with the right segments.
+        false_contacts: share, 0 … 1, of the untouched instants with a contact.
         place_mae_m: over contacts on the right segment whose place is estimated.
         angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
         magnitude_mae_n: over contacts, true or estimated, but those of which the moment alone is
@@ -79,7 +79,7 @@ class Score:
         self._off = np.zeros(2)
 
     def add(self, snapshot: Snapshot) -> None:
-        """Takes one moment, which counts if load and pose have stood still."""
+        """Takes one instant, which counts if load and pose have stood still."""
         self._watch(snapshot)
         if snapshot.time_s - self._still_since_s < self._settling_s:
             return
@@ -96,17 +96,19 @@ class Score:
         matched = true.keys() & estimated.keys()
         angles_deg = [(true[n].angle_deg, estimated[n].angle_deg) for n in matched]
         seen = set(estimated)
-        moment = snapshot.moment
-        if moment is not None:
-            seen.add(moment.segment)
+        by_moment = snapshot.known_by_moment
+        if by_moment is not None:
+            seen.add(by_moment.segment)
         if true:
             self._pushed += 1
             self._right += true.keys() == seen
         else:
             self._untouched += 1
             self._false += bool(seen)
-        if moment is not None and moment.segment in true:  # no place and no force to compare
-            angles_deg.append((true.pop(moment.segment).angle_deg, moment.angle_deg))
+        if by_moment is not None and by_moment.segment in true:
+            # there is no place and no force to compare
+            true_deg = true.pop(by_moment.segment).angle_deg
+            angles_deg.append((true_deg, by_moment.angle_deg))
         missed_n = [true[n].magnitude_n for n in true.keys() - matched]
         ghosts_n = [estimated[n].magnitude_n for n in estimated.keys() - matched]
         aside_m = [abs(true[n].contact_m - estimated[n].contact_m) for n in matched]

@@ -1,4 +1,4 @@
-"""One moment of a machine as the page shows it."""
+"""One instant of a machine as the page shows it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ShownStatus:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One moment of a machine; None is not known.
+    """One instant of a machine; None is not known.
 
     Attributes:
         time_s: of the newest readings, any steady clock.
@@ -61,12 +61,12 @@ class Snapshot:
         state: of the estimate.
         estimated: contacts, the strongest first; none when nothing touches and when the force is
             unknown.
-        bounds: of the strongest estimated force, of the one behind `moment`, or of one that
-            friction hides.
+        bounds: of the strongest estimated force, of the one behind `known_by_moment`, or of one
+            that friction hides.
         probabilities: (N + 1,) of no contact and of each link.
-        moment: a contact of which only that is known.
-        region: the 95 % interval of where the strongest contact, or the one behind `moment`, acts:
-            what it covers of each link, in their order.
+        known_by_moment: a contact of which the moment alone is known.
+        region: the 95 % interval of where the strongest contact, or the one behind
+            `known_by_moment`, acts: what it covers of each link, in their order.
         machine_known: how well the estimator knows it, as a sentence; empty where it does not.
         commissioning: of one that is under way.
     """
@@ -81,7 +81,7 @@ class Snapshot:
     bounds: ForceBounds | None
     probabilities: Array | None
     status: ShownStatus
-    moment: Contact | None = None
+    known_by_moment: Contact | None = None
     region: tuple[PlaceInterval, ...] = ()
     machine_known: str = ""
     commissioning: CommissioningProgress | None = None

@@ -122,12 +122,12 @@ class ForceTrace(Trace):
         super().__init__(gui, [*ends, true, estimated], "force, N", least_n, 170, (band,))
 
     def add(self, now: Snapshot) -> None:
-        """Keeps a moment; an unknown force is drawn below the axis, as uPlot bears no NaN.
+        """Keeps an instant; an unknown force is drawn below the axis, as uPlot bears no NaN.
 
         An unconfirmed one has no band: while the arm swings it would be wider than the axis.
         """
         true = now.true[0].magnitude_n if now.true else 0.0
-        nothing = 0.0 if now.state.known and now.moment is None else _UNKNOWN_N
+        nothing = 0.0 if now.state.known and now.known_by_moment is None else _UNKNOWN_N
         estimate = now.estimated[0].magnitude_n if now.estimated else nothing
         bounds = None if now.state is ForceState.UNCONFIRMED else now.bounds
         ends = (0.0, 0.0) if bounds is None else bounds[:2]

@@ -6,7 +6,6 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +13,6 @@ import numpy as np
 import typer
 
 from cablesense_base.files import OutputError, output_file, write_atomically
-from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_base.progress import progress_bar
 from cablesense_ros.cli.options import (
     ColumnsOption,
@@ -29,8 +27,8 @@ from cablesense_ros.cli.options import (
 
 if TYPE_CHECKING:
     from cablesense_contact.felt import FeltMachine
+    from cablesense_msgs_py.messages import Contact
     from cablesense_online.recorded_estimates import RecordedAnswer
-    from cablesense_online.settings import EstimationSettings
     from cablesense_recording.layout import Described
     from cablesense_recording.recording import Recording
 
@@ -85,6 +83,7 @@ def estimate(
     """
     from cablesense_online.loading import load
     from cablesense_online.recorded_estimates import recorded_answers, require_tare
+    from cablesense_ros.default_settings import node_settings
 
     if calibration is not None:
         refuse_given(context, ["tare_rows"], "with --calibration, which takes no tare")
@@ -132,25 +131,6 @@ def _read(
     return read_recording(path, machine, topics, described)
 
 
-def node_settings(**changes: Any) -> EstimationSettings:
-    """The settings of an estimator node that nobody has set, but for some."""
-    from cablesense_online.settings import EstimationSettings
-
-    text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
-    nodes = parse_plain_mapping(text, "parameters.yaml", "nodes", OptionError)
-    entries = nodes["estimator"]
-    values = {
-        name: (nodes["shared"][name] if entry == "shared" else entry)["default"]
-        for name, entry in entries.items()
-    }
-    radians = {
-        name.replace("_deg", "_rad"): float(np.deg2rad(value))
-        for name, value in values.items()
-        if "_deg" in name
-    }
-    return EstimationSettings.model_validate(values | radians | changes)
-
-
 def _table(answers: Sequence[RecordedAnswer], machine: FeltMachine) -> str:
     from cablesense_online.answer_table import ANSWER_COLUMNS, answer_cells
     from cablesense_online.placed_links import PlacedLinks
@@ -176,7 +156,8 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
     from matplotlib.figure import Figure
 
     time_s = np.array([each.time_s for each in answers])
-    force_n = np.array([each.answer.contact.magnitude_n for each in answers])
+    # without a contact it is 0, and so it is where the moment alone is known
+    force_n = np.array([each.answer.contact.magnitude_n or np.nan for each in answers])
     segment = np.array([each.answer.contact.segment for each in answers])
     known = np.array([each.answer.force.known for each in answers])
     bounds = [each.answer.bounds for each in answers]
@@ -186,7 +167,7 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     force_axes, segment_axes = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     force_axes.fill_between(time_s, low_n, high_n, alpha=0.3, lw=0.0, label="its 95 % interval")
-    force_axes.plot(time_s, np.where(segment > 0, force_n, np.nan), lw=1.5, label="contact")
+    force_axes.plot(time_s, force_n, lw=1.5, label="contact")
     for axes in (force_axes, segment_axes):
         axes.fill_between(
             time_s, 0.0, 1.0, where=~known, color="0.9", transform=axes.get_xaxis_transform()
@@ -207,7 +188,7 @@ def _drawn(answers: Sequence[RecordedAnswer], links: Sequence[str], path: Path) 
 
 def _summary(answers: Sequence[RecordedAnswer]) -> dict[str, Any]:
     states = Counter(each.answer.force.value for each in answers)
-    strongest = max(answers, key=lambda each: each.answer.contact.magnitude_n)
+    strongest = max(answers, key=_strength)
     contact = strongest.answer.contact
     return {
         "rows": len(answers),
@@ -216,10 +197,20 @@ def _summary(answers: Sequence[RecordedAnswer]) -> dict[str, Any]:
             "time_s": strongest.time_s,
             "segment": contact.segment,
             "place_m": contact.contact_m,
-            "magnitude_n": contact.magnitude_n,
+            "magnitude_n": None if _has_moment_alone(contact) else contact.magnitude_n,
             "state": strongest.answer.force.value,
         },
     }
+
+
+def _strength(answered: RecordedAnswer) -> tuple[float, float]:
+    """By which contacts are compared: by their forces, and below any force by their moments."""
+    contact = answered.answer.contact
+    return contact.magnitude_n, contact.moment_n_m or 0.0
+
+
+def _has_moment_alone(contact: Contact) -> bool:
+    return bool(contact.segment) and contact.magnitude_n == 0.0
 
 
 def _lines(summary: dict[str, Any], links: Sequence[str]) -> list[str]:
@@ -227,8 +218,10 @@ def _lines(summary: dict[str, Any], links: Sequence[str]) -> list[str]:
     lines = [f"{summary['rows']:,} rows: {states}"]
     strongest = summary["strongest"]
     if strongest["segment"]:
+        size_n = strongest["magnitude_n"]
+        size = "by its moment alone" if size_n is None else f"{size_n:.3g} N"
         lines.append(
-            f"strongest: {strongest['magnitude_n']:.3g} N on {links[strongest['segment'] - 1]}, "
+            f"strongest: {size} on {links[strongest['segment'] - 1]}, "
             f"{1e3 * strongest['place_m']:.0f} mm from its joint, at {strongest['time_s']:.2f} s "
             f"({strongest['state']})"
         )

@@ -146,10 +146,11 @@ def machine_observability(path: str, load_n: float | None = None) -> Description
         across_n = load_n * across / np.linalg.norm(across)
         force = LinkForce(link, np.array([place_m, 0.0, 0.0]), np.append(0.0, across_n))
         reading = nominal.touched(command, [force], untouched).values
+        in_plane = bool(is_planar(projections)[link])
         row: Description = {
             "link": name,
             "place_m": place_m,
-            "in_plane": bool(is_planar(projections)[link]),
+            "felt_along": _in_body_axes(machine.links.axes[link], felt) if in_plane else None,
         }
         axial_n = (machine.source.file.touch.friction or 1.0) * load_n
         for key, covariance in (
@@ -172,10 +173,15 @@ def machine_observability(path: str, load_n: float | None = None) -> Description
 def notes_on_links(seen: Description) -> str:
     """Notes on links whose force is known in a plane, or not at all; empty without such links."""
     notes = []
-    planar = [row["link"] for row in seen["links"] if row["in_plane"]]
+    planar = [
+        f"{row['link']} ({', '.join(f'{part:g}' for part in row['felt_along'])})"
+        for row in seen["links"]
+        if row["felt_along"] is not None
+    ]
     if planar:
         notes.append(
-            f"On {', '.join(planar)} readings depend on forces in one plane alone: the force in "
+            f"On {', '.join(planar)} readings depend on forces in one plane alone, that of the "
+            "link's axis and of this direction across it, in the axes of its body: the force in "
             "it is stated, and what acts across it is not felt."
         )
     unseen = [row["link"] for row in seen["links"] if row["force_n"] is None]
@@ -187,6 +193,18 @@ def notes_on_links(seen: Description) -> str:
             "place only, list that place under touch.links: then its force is known."
         )
     return " ".join(notes)
+
+
+def _in_body_axes(axes: Array, felt: Array) -> list[float]:
+    """(3,) the direction across a link that is felt, by a projection (2, 2), in its body's axes.
+
+    `axes` (3, 3) are those of the link. The largest part of the direction is positive.
+    """
+    strongest = int(np.diagonal(felt).argmax())
+    across = felt[:, strongest] / np.linalg.norm(felt[:, strongest])
+    direction = axes[:, 1:] @ across
+    direction *= np.sign(direction[np.abs(direction).argmax()])
+    return [float(part) for part in np.round(direction, 3) + 0.0]
 
 
 class _Bound(NamedTuple):

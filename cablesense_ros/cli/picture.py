@@ -76,7 +76,7 @@ def picture(
     from cablesense_online.page.still import still_picture
     from cablesense_online.simulation import SimulationSettings
     from cablesense_online.touched import touched_moment
-    from cablesense_ros.cli.estimate import node_settings
+    from cablesense_ros.default_settings import node_settings
 
     output_file(out, force=force, inputs=(machine, model))
     shown = shown_machine(machine)

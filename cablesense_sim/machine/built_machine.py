@@ -31,7 +31,8 @@ class BuiltMachine:
         model.body_mass[bodies] *= 1.0 + theta[slices["mass"]]
         model.body_ipos[bodies] += theta[slices["centre_of_mass"]].reshape(3, -1).T
         springs = parameters.springs
-        model.jnt_stiffness[springs] *= 1.0 + theta[slices["joint_stiffness"]]
+        of_all_joints = float(theta[slices["common_joint_stiffness"]].sum())
+        model.jnt_stiffness[springs] *= 1.0 + theta[slices["joint_stiffness"]] + of_all_joints
         routing = parameters.routing
         displaced = theta[slices["routing"]].reshape(2, -1)
         model.site_pos[routing.ids] += np.einsum("ws,swx->sx", displaced, routing.across)

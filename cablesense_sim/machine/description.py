@@ -168,7 +168,9 @@ class MachineTolerances(StandardDeviations):
         pretension_n: of each tendon, as set at the reference pose.
         routing_m: of each site that a tendon passes, in each direction across the tendon.
         mass_share, centre_of_mass_m: of each body, and in each direction.
-        joint_stiffness_share: of each joint's spring.
+        joint_stiffness_share: of each joint's spring, independent of the others.
+        common_joint_stiffness_share: of all joints' springs together, as those of a rod that is
+            modelled by several hinges, whose material is softer throughout.
         base_tilt_deg: of the base about each horizontal axis.
         gain_share: of each channel.
         zero_n, zero_n_m: of each channel before a tare: of forces, and of hinges' torques.
@@ -183,6 +185,7 @@ class MachineTolerances(StandardDeviations):
     mass_share: _Share = 0.02
     centre_of_mass_m: Annotated[Number, Field(ge=0.0, le=0.1)] = 0.001
     joint_stiffness_share: _Share = 0.05
+    common_joint_stiffness_share: _Share = 0.0
     base_tilt_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = 0.5
     gain_share: _Share = 0.005
     zero_n: _NotNegative = 0.5

@@ -167,6 +167,11 @@ def open_machine(path: str | Path) -> Machine:
     model = compiled(spec, source.model_path, MachineError)
     file = source.file
     _require_supported(model, source)
+    if file.tolerances.common_joint_stiffness_share and not (model.jnt_stiffness > 0.0).any():
+        raise MachineError(
+            f"{source.path}: tolerances.common_joint_stiffness_share is of joints with springs, "
+            f"and {source.model_path.name} has none; leave it out"
+        )
     pose = _reference(model, source)
     coordinates = coordinates_of(model, pose, file.locked, str(source.path))
     tendons = _tendons(model, source, pose)

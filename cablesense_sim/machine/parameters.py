@@ -40,11 +40,11 @@ class MachineParameters(GroupedParameters):
     Of the K tendons: stiffness (share) and pretension (N). Of the S sites that they pass: both
     directions across, all first and then all second ones (m). Of the B bodies that move: mass
     (share), and the centre along x, y and z (m), all along x first. Of the joints with springs:
-    stiffness (share). The tilt of the base about the model's x and y axes (rad). Of the M
-    channels: gain (share), and zero, of forces and of torques (N, N·m). Of the n coordinates: zero
-    of their command or reading (rad, m). Last the coefficient of friction, and, if there is any,
-    what the tendons that are read carry of it at each guide (`tendon_guides`), one guide after
-    another.
+    stiffness (share), and, where a tolerance is stated of it, that of all together. The tilt of
+    the base about the model's x and y axes (rad). Of the M channels: gain (share), and zero, of
+    forces and of torques (N, N·m). Of the n coordinates: zero of their command or reading (rad,
+    m). Last the coefficient of friction, and, if there is any, what the tendons that are read
+    carry of it at each guide (`tendon_guides`), one guide after another.
 
     Attributes:
         routing: the sites.
@@ -73,6 +73,8 @@ class MachineParameters(GroupedParameters):
         bodies = [model.body(int(b)).name or f"body_{b}" for b in self.bodies]
         centres = tuple(f"{body} along {axis}" for axis in _AXES for body in bodies)
         springs = tuple(model.joint(int(j)).name for j in self.springs)
+        common_share = tolerances.common_joint_stiffness_share
+        all_springs = ("all joints",) if common_share and springs else ()
         sites = tuple(
             f"{site} ({way})" for way in ("first", "second") for site in self.routing.names
         )
@@ -102,6 +104,7 @@ class MachineParameters(GroupedParameters):
                 group("mass", "1", tuple(bodies), tolerances.mass_share),
                 group("centre_of_mass", "m", centres, tolerances.centre_of_mass_m),
                 group("joint_stiffness", "1", springs, tolerances.joint_stiffness_share),
+                group("common_joint_stiffness", "1", all_springs, common_share),
                 group("base_tilt", "rad", ("about x", "about y"), tilt_rad),
                 group("sensor_gain", "1", channels.names, tolerances.gain_share),
                 group("sensor_zero", "N", forces, tolerances.zero_n),

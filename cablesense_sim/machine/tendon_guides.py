@@ -75,7 +75,7 @@ class TendonGuides:
         self._guide_of = _one_hot(spans_passed[:, :-1], guides) * is_node[..., None]
         self.exists: NDArray[np.bool_] = self._guide_of.any(axis=1).T
         length_m = self._paths.at(machine.reference).length_m[self._read]
-        self.straight_share = length_m / length_m.sum(axis=1, keepdims=True)
+        self.straight_share = _shares(length_m, is_piece)
         self.length_share = np.einsum("ks,ksp->kp", self.straight_share, self._piece_of)
 
     def at(self, pose: Array) -> GuidesAtPose:
@@ -94,6 +94,17 @@ class TendonGuides:
         turned_rad = np.zeros((*self.straight_share.shape, by_guide.shape[-1]))
         turned_rad[:, 1:] = by_guide.cumsum(axis=1)
         return TurnsAtPose(paths.slope_m[self._read], turned_rad)
+
+
+def _shares(length_m: Array, is_piece: NDArray[np.bool_]) -> Array:
+    """(M, S) of pieces in the lengths of their tendons, which are even where a length is zero.
+
+    That of a tendon that joints alone define is zero where they are, and it has one piece.
+    """
+    whole_m = length_m.sum(axis=1, keepdims=True)
+    even = is_piece / is_piece.sum(axis=1, keepdims=True)
+    has_length = whole_m != 0.0
+    return np.where(has_length, length_m / np.where(has_length, whole_m, 1.0), even)
 
 
 def _one_hot(numbers: NDArray[np.int64], count: int) -> Array:

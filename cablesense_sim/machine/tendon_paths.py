@@ -75,7 +75,8 @@ class TendonPaths:
         self._coordinates = machine.coordinates
         self._ids = machine.tendons.ids.tolist()
         elements = [_elements(self._model, t) for t in self._ids]
-        most = max((len(one) for one in elements), default=2)
+        # a tendon that one joint alone defines has one element, and still one piece
+        most = max((2, *(len(one) for one in elements)))
         shape = (len(elements), most)
         self._sites = np.full(shape, -1, dtype=np.int64)
         self._bodies = np.zeros(shape, dtype=np.int64)

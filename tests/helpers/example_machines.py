@@ -12,6 +12,22 @@ from cablesense_sim.machine.machine import Machine, open_machine
 
 MACHINES = Path(__file__).parents[2] / "config" / "machines"
 
+ROD_LINKS = 5
+ROD_LENGTH_M = 0.04
+ROD_SERVO_N_M = 8000.0
+
+ROD_FILE = """
+joints: actuators
+sensors:
+  tension: {of: [wire], noise_std: 0.01}
+cables: {pretension_n: 3}
+touch:
+  friction: 0.3
+  largest_n: 5
+  links:
+    - {link: link_5, start_m: [0.0395, 0, 0], end_m: [0.0405, 0, 0], radius_m: 0.003}
+"""
+
 
 @cache
 def example_machine(name: str) -> Machine:
@@ -50,6 +66,36 @@ def machine_of_two_motors(folder: Path, pretension_n: float, largest_n: float) -
     """A weightless hinge between two tendons with motors, 30 mm from it; its joint is measured."""
     file = _TWO_MOTORS_FILE.format(pretension_n=pretension_n, largest_n=largest_n)
     return written_machine(folder, _TWO_MOTORS, file)
+
+
+def rod_model(axis: str = "0 1 0", across: str = "") -> str:
+    """A rod of links on springs, bent by one wire above it that a servo draws.
+
+    With an axis `across` every link has a second hinge about it.
+    """
+    inside = ""
+    second = ""
+    for n in range(ROD_LINKS, 0, -1):
+        at_m = ROD_LENGTH_M if n > 1 else 0.0
+        if across:
+            spring = 'type="hinge" stiffness="1.5" damping="0.1"'
+            second = f'<joint name="sway_{n}" axis="{across}" {spring}/>'
+        inside = f"""
+        <body name="link_{n}" pos="{at_m} 0 0">
+          <joint name="bend_{n}" type="hinge" axis="{axis}" stiffness="1.5" damping="0.1"/>
+          {second}
+          <geom type="capsule" fromto="0 0 0 {ROD_LENGTH_M} 0 0" size="0.003" mass="0.008"/>
+          <site name="guide_{n}" pos="{ROD_LENGTH_M / 2} 0 0.006"/>
+          {inside}
+        </body>"""
+    guides = "".join(f'<site site="guide_{n}"/>' for n in range(ROD_LINKS + 1))
+    return f"""
+    <mujoco>
+      <option timestep="0.001"/>
+      <worldbody><site name="guide_0" pos="-0.01 0 0.006"/>{inside}</worldbody>
+      <tendon><spatial name="wire">{guides}</spatial></tendon>
+      <actuator><position name="motor" tendon="wire" kp="{ROD_SERVO_N_M}"/></actuator>
+    </mujoco>"""
 
 
 _TWO_MOTORS = """

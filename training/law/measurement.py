@@ -165,7 +165,7 @@ class MeasurementModel(nn.Module):
         self.numbers = ArmNumbers(mechanism, parameters, friction, self.cables)
         self.friction = GuideFriction(mechanism, friction)
         self.weight = SegmentWeight(mechanism)
-        self.slopes = ParameterSlopes(mechanism.segment_count, mechanism.cable_count)
+        self.slopes = ParameterSlopes(mechanism.segment_count, mechanism.cable_count, parameters)
         zero_n = float(parameters.prior_std[parameters.slices["sensor_zero"]].max())
         taut_above_n = _TAUT_ABOVE_STD * math.hypot(reading_variance_n2**0.5, zero_n)
         self.pose = PoseFit(self.cables, taut_above_n, pose_steps)

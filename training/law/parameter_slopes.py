@@ -8,10 +8,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_sim.parameter_groups import CARRIED_FRICTION
+from cablesense_sim.tolerances import ArmParameters
 from cablesense_training.law.friction import CarriedTensions, guides_up_to_joints
 from cablesense_training.law.geometry import SegmentFrames, Spans, constant
-from cablesense_training.law.parameters import Parameters
+from cablesense_training.law.parameters import Parameters, groups_by_kind, places_of
 from cablesense_training.law.weight import Weighed
+
+_PLAIN_KINDS = ("cable_stiffness", "pretension", "run_compliance", "holes")
+"""Kinds of one cable that `ParameterSlopes.forward` takes as they are."""
+_SENSOR_KINDS = ("sensor_gain", "sensor_zero")
+"""Kinds of one sensor."""
+_OTHER_KINDS = ("bodies", "base_tilt", "joint_zero", "friction")
+"""Kinds that concern all cables."""
 
 
 class State(NamedTuple):
@@ -47,16 +56,22 @@ class State(NamedTuple):
 class ParameterSlopes(nn.Module):
     """G (B, M, P): derivative of readings by parameters at fixed contact torques."""
 
-    def __init__(self, segment_count: int, cable_count: int) -> None:
+    def __init__(self, segment_count: int, cable_count: int, parameters: ArmParameters) -> None:
         super().__init__()
-        count = segment_count
-        cables = cable_count
-        self.reaches = constant(guides_up_to_joints(count)[:, None, :, None])
-        # a cable has a stiffness, a pretension, a compliance of its run, 2 (N + 1) numbers of
-        # holes, and N + 1 carried frictions
-        self.same_cable = constant(np.tile(np.eye(cables), 3 * count + 6))
-        self.same_sensor = constant(np.tile(np.eye(cables), 2))
-        self.plain_and_exponents = ((2 * count + 5) * cables, (count + 1) * cables)
+        kinds = groups_by_kind(segment_count)
+        plain = sum((kinds[kind] for kind in _PLAIN_KINDS), ())
+        carried = kinds[CARRIED_FRICTION]
+        sensors = sum((kinds[kind] for kind in _SENSOR_KINDS), ())
+        others = sum((kinds[kind] for kind in _OTHER_KINDS), ())
+        places = places_of(parameters, (*plain, *carried, *sensors, *others))
+        self.are_in_order = bool((places == np.arange(len(places))).all())
+        # of each parameter the column that `forward` computes for it
+        self.columns = constant(np.argsort(places))
+        self.reaches = constant(guides_up_to_joints(segment_count)[:, None, :, None])
+        # each of these groups has one parameter of each cable, or sensor
+        self.same_cable = constant(np.tile(np.eye(cable_count), len(plain) + len(carried)))
+        self.same_sensor = constant(np.tile(np.eye(cable_count), len(sensors)))
+        self.plain_and_exponents = (len(plain) * cable_count, len(carried) * cable_count)
         self.by_gain = constant(np.array([[1.0], [0.0]]))
         self.by_zero = constant(np.array([[0.0], [1.0]]))
         self.nothing = constant(np.zeros((3, 1)))
@@ -71,6 +86,7 @@ class ParameterSlopes(nn.Module):
         by_compliance = -(state.tension_n * by_pretension)
         by_run = state.carried.by_run * by_compliance
         by_exponent = state.carried.by_exponent * by_compliance
+        # of the kinds of `_PLAIN_KINDS`, and then of carried friction
         by_own_parameter = torch.cat(
             [by_stiffness, by_pretension, by_run, by_hole, by_exponent], dim=1
         )
@@ -94,5 +110,7 @@ class ParameterSlopes(nn.Module):
         of_zeros = by_torque @ (state.jacobian_m @ slack_n) - slack_n * given.gain[:, None]
 
         of_bodies = by_torque @ state.weighed.by_parameter
+        # of the kinds of `_PLAIN_KINDS`, carried friction, `_SENSOR_KINDS` and `_OTHER_KINDS`
         parts = [plain, of_carried, of_sensors, of_bodies, of_zeros, of_coefficient]
-        return torch.cat(parts, dim=2)
+        slopes = torch.cat(parts, dim=2)
+        return slopes if self.are_in_order else slopes[:, :, self.columns]

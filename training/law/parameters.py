@@ -1,11 +1,17 @@
-"""The numbers of an arm by its uncertain parameters, as the measurement takes them."""
+"""The numbers of an arm by its uncertain parameters, as the measurement takes them.
+
+`ArmParameters` says where the parameters of each group stand. The graph takes some groups together
+as one *kind*, for example all holes, and the kinds in an order of its own (`groups_by_kind`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
@@ -31,6 +37,44 @@ class Parameters(NamedTuple):
     joint_zero_rad: Tensor  # (2N,)
 
 
+BODIES = ("segment_mass", "centre_of_mass", "segment_length", "centre_across")
+"""The groups whose parameters are taken together as the bodies of the segments."""
+
+
+def groups_by_kind(segment_count: int) -> Mapping[str, tuple[str, ...]]:
+    """Names of the groups of each kind, in the order in which the graph takes them."""
+    plates = range(segment_count + 1)
+    outward = tuple(f"hole_outward_{plate}" for plate in plates)
+    around = tuple(f"hole_around_{plate}" for plate in plates)
+    return {
+        "cable_stiffness": ("cable_stiffness",),
+        "pretension": ("pretension",),
+        "run_compliance": ("run_compliance",),
+        "holes": (*outward, *around),
+        CARRIED_FRICTION: tuple(f"{CARRIED_FRICTION}_{guide}" for guide in plates),
+        "sensor_gain": ("sensor_gain",),
+        "sensor_zero": ("sensor_zero",),
+        "bodies": BODIES,
+        "base_tilt": ("base_tilt",),
+        "joint_zero": ("joint_zero",),
+        "friction": ("friction",),
+    }
+
+
+def places_of(parameters: ArmParameters, groups: tuple[str, ...]) -> NDArray[np.int64]:
+    """Where the parameters of some groups stand in θ, one group after another.
+
+    Raises:
+        ValueError: the arm has other groups than these.
+    """
+    slices = parameters.slices
+    if set(groups) != set(slices):
+        others = sorted(set(groups) ^ set(slices))
+        raise ValueError(f"the law's graph and the arm's parameters differ in {others}")
+    numbers = np.arange(len(parameters), dtype=np.int64)
+    return np.concatenate([numbers[slices[name]] for name in groups])
+
+
 class ArmNumbers(nn.Module):
     """`Parameters` of a mean θ (P,).
 
@@ -51,7 +95,15 @@ class ArmNumbers(nn.Module):
         super().__init__()
         self.segment_count = mechanism.segment_count
         self.cable_count = mechanism.cable_count
-        self.sizes = _sizes(parameters)
+        kinds = groups_by_kind(mechanism.segment_count)
+        slices = parameters.slices
+        self.size_by_kind = {
+            kind: sum(slices[name].stop - slices[name].start for name in names)
+            for kind, names in kinds.items()
+        }
+        places = places_of(parameters, sum(kinds.values(), ()))
+        self.are_in_order = bool((places == np.arange(len(places))).all())
+        self.places = constant(places)
         self.cables = cables
         nominal, scale = _nominal(mechanism, parameters, cables.radius_m)
         self.nominal = constant(nominal)
@@ -65,20 +117,25 @@ class ArmNumbers(nn.Module):
         """The parameters of a mean θ (P,)."""
         count = self.segment_count
         values = self.nominal + self.scale * mean
-        parts = values.split(self.sizes)
-        stiffness, pretension, run, holes, carried, gain, zero, bodies, tilt, joint_zero, _ = parts
+        if not self.are_in_order:
+            values = values[self.places]
+        parts = values.split(list(self.size_by_kind.values()))
+        by_kind = dict(zip(self.size_by_kind, parts, strict=True))
+        hole_shape = (2, count + 1, self.cable_count)
+        bodies = by_kind["bodies"]
+        first_length = BODIES.index("segment_length") * count
         return Parameters(
-            compliance_m_n=self.compliance_m_n / torch.exp(stiffness),
-            pretension_n=pretension,
-            run_share=torch.sigmoid(self.run_log + run),
-            holes=self.cables.holes(holes.reshape(2, count + 1, self.cable_count)),
-            carried_friction=carried.reshape(count + 1, self.cable_count),
-            gain=gain,
-            zero_n=zero,
+            compliance_m_n=self.compliance_m_n / torch.exp(by_kind["cable_stiffness"]),
+            pretension_n=by_kind["pretension"],
+            run_share=torch.sigmoid(self.run_log + by_kind["run_compliance"]),
+            holes=self.cables.holes(by_kind["holes"].reshape(hole_shape)),
+            carried_friction=by_kind[CARRIED_FRICTION].reshape(count + 1, self.cable_count),
+            gain=by_kind["sensor_gain"],
+            zero_n=by_kind["sensor_zero"],
             bodies=bodies,
-            length_m=bodies[2 * count : 3 * count],
-            gravity_m_s2=self.gravity_m_s2 + tilt @ self.gravity_by_tilt,
-            joint_zero_rad=joint_zero,
+            length_m=bodies[first_length : first_length + count],
+            gravity_m_s2=self.gravity_m_s2 + by_kind["base_tilt"] @ self.gravity_by_tilt,
+            joint_zero_rad=by_kind["joint_zero"],
         )
 
 
@@ -107,15 +164,3 @@ def _nominal(
     nominal[slices["centre_of_mass"]] = mechanism.centre_of_mass_m
     nominal[slices["segment_length"]] = mechanism.segment_length_m
     return nominal, scale
-
-
-def _sizes(parameters: ArmParameters) -> list[int]:
-    """Numbers of parameters of each kind, with all holes together, all guides, and all bodies."""
-    sizes: dict[str, int] = {}
-    bodies = ("segment_mass", "centre_of_mass", "segment_length", "centre_across")
-    for name, part in parameters.slices.items():
-        kind = name.rstrip("0123456789") if name.startswith(CARRIED_FRICTION) else name
-        kind = "hole" if name.startswith("hole") else kind
-        kind = "bodies" if name in bodies else kind
-        sizes[kind] = sizes.get(kind, 0) + part.stop - part.start
-    return list(sizes.values())

@@ -10,7 +10,13 @@ from cablesense_contact.machine.observation import Observation, Observer
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
-from tests.helpers.example_machines import bent_command, example_machine, written_machine
+from tests.helpers.example_machines import (
+    ROD_FILE,
+    bent_command,
+    example_machine,
+    rod_model,
+    written_machine,
+)
 
 PLACES_A_KIND = 4
 STEP = 0.1
@@ -77,6 +83,33 @@ def test_readings_follow_every_kind_of_parameter(name: str, share: float) -> Non
             np.testing.assert_allclose(
                 seen.by_parameter[:, number] * std, difference, atol=allowed, err_msg=kind
             )
+
+
+def test_one_error_of_all_springs_changes_readings_as_if_each_had_it(tmp_path: Path) -> None:
+    """A rod of hinges whose material is softer throughout, as the rest of such a rod has it."""
+    file = ROD_FILE + "tolerances: {common_joint_stiffness_share: 0.2}"
+    machine = written_machine(tmp_path, rod_model(), file)
+    parameters = Observer(machine).parameters
+    exact = np.zeros(len(parameters))
+    described = SimulatedMachine(machine, parameters, exact)
+    command = Observer(machine).command_of(machine.reference)
+    rest = described.untouched(command)
+    _, seen = observed(machine, rest.values, command, rest.pose)
+    common = parameters.slices["common_joint_stiffness"]
+    each = parameters.slices["joint_stiffness"]
+    assert parameters.prior_std[common].tolist() == [0.2]
+    share = 1e-3
+    softer = exact.copy()
+    softer[common] = -share
+    stiffer = -softer
+    readings = [
+        SimulatedMachine(machine, parameters, theta).untouched(command).values
+        for theta in (stiffer, softer)
+    ]
+    difference = (readings[0] - readings[1]) / (2.0 * share)
+    by_common = seen.by_parameter[:, common]
+    np.testing.assert_allclose(by_common[:, 0], difference, rtol=1e-3)
+    np.testing.assert_allclose(by_common[:, 0], seen.by_parameter[:, each].sum(axis=1))
 
 
 @pytest.mark.parametrize("name", ["finger", "seven_hinges", "hand", "continuum"])

@@ -13,66 +13,30 @@ from cablesense_contact.machine.felt_directions import felt_across, is_planar
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
 from cablesense_contact.machine.observation import Observer
+from cablesense_ros.cli.machine_info import machine_observability, notes_on_links
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
-from tests.helpers.example_machines import example_machine, written_machine
+from tests.helpers.example_machines import (
+    ROD_FILE,
+    ROD_LENGTH_M,
+    ROD_LINKS,
+    ROD_SERVO_N_M,
+    example_machine,
+    rod_model,
+    written_machine,
+)
 from tests.helpers.torch_stater import TorchStater
 
-LINKS = 5
-LENGTH_M = 0.04
-SERVO_N_M = 8000.0
 PRETENSION_N = 3.0
 WEIGHTS_N = (0.1, 0.3, 0.6)
-
-ROD_FILE = """
-joints: actuators
-sensors:
-  tension: {of: [wire], noise_std: 0.01}
-cables: {pretension_n: 3}
-touch:
-  friction: 0.3
-  largest_n: 5
-  links:
-    - {link: link_5, start_m: [0.0395, 0, 0], end_m: [0.0405, 0, 0], radius_m: 0.003}
-"""
-
-
-def rod_model(axis: str = "0 1 0", across: str = "") -> str:
-    """A rod of links on springs, bent by one wire above it that a servo draws.
-
-    With an axis `across` every link has a second hinge about it.
-    """
-    inside = ""
-    second = ""
-    for n in range(LINKS, 0, -1):
-        at_m = LENGTH_M if n > 1 else 0.0
-        if across:
-            spring = 'type="hinge" stiffness="1.5" damping="0.1"'
-            second = f'<joint name="sway_{n}" axis="{across}" {spring}/>'
-        inside = f"""
-        <body name="link_{n}" pos="{at_m} 0 0">
-          <joint name="bend_{n}" type="hinge" axis="{axis}" stiffness="1.5" damping="0.1"/>
-          {second}
-          <geom type="capsule" fromto="0 0 0 {LENGTH_M} 0 0" size="0.003" mass="0.008"/>
-          <site name="guide_{n}" pos="{LENGTH_M / 2} 0 0.006"/>
-          {inside}
-        </body>"""
-    guides = "".join(f'<site site="guide_{n}"/>' for n in range(LINKS + 1))
-    return f"""
-    <mujoco>
-      <option timestep="0.001"/>
-      <worldbody><site name="guide_0" pos="-0.01 0 0.006"/>{inside}</worldbody>
-      <tendon><spatial name="wire">{guides}</spatial></tendon>
-      <actuator><position name="motor" tendon="wire" kp="{SERVO_N_M}"/></actuator>
-    </mujoco>"""
 
 
 def hung_tension_n(model: mujoco.MjModel, command_m: float, weight_n: float) -> float:
     """The wire's tension once MuJoCo's integrator has brought the rod with a weight to rest."""
     data = mujoco.MjData(model)
     data.ctrl[0] = command_m
-    body = model.body(f"link_{LINKS}").id
-    tip_m = np.array([LENGTH_M, 0.0, 0.0])
+    body = model.body(f"link_{ROD_LINKS}").id
+    tip_m = np.array([ROD_LENGTH_M, 0.0, 0.0])
     hung_n = np.array([0.0, 0.0, -weight_n])
     for _ in range(6000):
         mujoco.mj_kinematics(model, data)
@@ -90,7 +54,7 @@ def test_one_tendon_tells_the_weights_that_are_hung_on_the_tip(tmp_path: Path) -
     model = mujoco.MjModel.from_xml_string(rod_model())
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    command_m = float(data.ten_length[0]) - PRETENSION_N / SERVO_N_M
+    command_m = float(data.ten_length[0]) - PRETENSION_N / ROD_SERVO_N_M
     felt = FeltModel(machine)
     law = MachineLaw(machine, TorchStater(machine))
     calibrator = Calibrator(felt, law)
@@ -121,6 +85,19 @@ def test_parallel_hinges_feel_forces_across_them(tmp_path: Path, angle: float) -
     np.testing.assert_allclose(
         felt_across(Observer(machine))[0], np.outer(in_frame, in_frame), atol=1e-9
     )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2.0])
+def test_info_says_along_which_direction_a_link_is_felt(tmp_path: Path, angle: float) -> None:
+    """In the axes of its body, across the hinges and the link."""
+    axis = f"0 {np.cos(angle):.12g} {np.sin(angle):.12g}"
+    written_machine(tmp_path, rod_model(axis), ROD_FILE)
+    seen = machine_observability(str(tmp_path / "machine.yaml"))
+    (link,) = seen["links"]
+    along = np.array(link["felt_along"])
+    expected = np.array([0.0, -np.sin(angle), np.cos(angle)])
+    np.testing.assert_allclose(np.abs(along @ expected), 1.0, atol=2e-3)
+    assert "link_5 (0" in notes_on_links(seen)
 
 
 def test_only_the_first_link_of_crossed_hinges_is_felt_in_a_plane() -> None:

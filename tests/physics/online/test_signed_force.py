@@ -15,7 +15,7 @@ from cablesense_online.machine_models import LoadedMachine
 from cablesense_online.placed_links import PlacedLinks
 from cablesense_online.recorded_estimates import recorded_answers
 from cablesense_recording.recording import Recording
-from cablesense_ros.cli.estimate import node_settings
+from cablesense_ros.default_settings import node_settings
 from cablesense_sim.machine.simulated import SimulatedMachine
 from tests.helpers.example_machines import written_machine
 from tests.helpers.torch_stater import TorchStater
@@ -28,6 +28,10 @@ PUSH_N = 0.4
 UNTOUCHED = 30
 PUSHED = 10
 
+WIRE = '<spatial name="wire"><site site="guide"/><site site="anchor"/></spatial>'
+DRUM = f'<fixed name="wire"><joint joint="bend" coef="{ARM_M}"/></fixed>'
+"""A wire on a drum about the hinge, which the model does not draw."""
+
 UPRIGHT_MODEL = f"""
 <mujoco>
   <option gravity="0 0 0"/>
@@ -39,7 +43,7 @@ UPRIGHT_MODEL = f"""
       <geom type="capsule" fromto="0 0 0 0 0 {REACH_M}" size="0.01" mass="0.2"/>
     </body>
   </worldbody>
-  <tendon><spatial name="wire"><site site="guide"/><site site="anchor"/></spatial></tendon>
+  <tendon>{WIRE}</tendon>
   <actuator><position name="motor" tendon="wire" kp="{SERVO_N_M}"/></actuator>
 </mujoco>
 """
@@ -68,15 +72,21 @@ def table_row(answer: Answer, links: PlacedLinks) -> dict[str, Any]:
     return dict(zip(ANSWER_COLUMNS, answer_cells(answer, links), strict=True))
 
 
-@pytest.fixture
-def finger(tmp_path: Path) -> LoadedMachine:
+@pytest.fixture(params=[WIRE, DRUM], ids=["through sites", "by its joint"])
+def finger(tmp_path: Path, request: pytest.FixtureRequest) -> LoadedMachine:
     """Its axis is z of its body, so that contact angles count in another frame."""
-    machine = written_machine(tmp_path, UPRIGHT_MODEL, UPRIGHT_FILE)
+    model = UPRIGHT_MODEL.replace(WIRE, request.param)
+    machine = written_machine(tmp_path, model, UPRIGHT_FILE)
     return LoadedMachine(machine, MachineLaw(machine, TorchStater(machine)), "")
 
 
 @pytest.fixture
 def answers(finger: LoadedMachine) -> list[Answer]:
+    """Untouched, pushed towards +x, then towards -x."""
+    return answers_of(finger)
+
+
+def answers_of(finger: LoadedMachine) -> list[Answer]:
     """Untouched, pushed towards +x, then towards -x, each long enough to be at rest."""
     exact = np.zeros(len(finger.machine.parameters))
     observer = finger.law.observer
@@ -124,3 +134,24 @@ def test_where_no_force_or_no_direction_is_known_none_is_stated(
         row = table_row(answer, links)
         assert row["segment"] == 1
         assert [row[f"force_{axis}_n"] for axis in "xyz"] == [NO_CELL] * 3
+    by_its_moment = table_row(moment, links)
+    assert by_its_moment["magnitude_n"] == NO_CELL
+    assert by_its_moment["magnitude_low_n"] > 0.0
+    assert by_its_moment["angle_deg"] == pytest.approx(180.0)  # it counts from the body's -x
+    of_network = table_row(of_several, links)
+    assert of_network["magnitude_n"] == pytest.approx(PUSH_N, rel=0.05)
+    assert of_network["angle_deg"] == NO_CELL
+
+
+def test_an_axial_force_that_is_not_known_is_not_stated(tmp_path: Path) -> None:
+    """On a surface it turns the hinge a little, so it is estimated, to a tenth of a newton."""
+    on_surface = UPRIGHT_FILE.replace("]}\n", "], radius_m: 0.02}\n")
+    machine = written_machine(tmp_path, UPRIGHT_MODEL, on_surface)
+    finger = LoadedMachine(machine, MachineLaw(machine, TorchStater(machine)), "")
+    _, pushed, _ = answers_of(finger)
+    assert pushed.estimate is not None
+    assert pushed.estimate.place is not None
+    axial_std_n = float(pushed.estimate.place.covariance[1, 1]) ** 0.5
+    assert axial_std_n > finger.machine.known_n
+    assert pushed.estimate.place.along_n != 0.0
+    assert pushed.contact.along_n == 0.0

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
+from cablesense_sim.parameter_groups import ParameterGroup
+from cablesense_sim.tolerances import ArmParameters
 from tests.helpers.arm_variants import five_by_four
 from tests.helpers.law_arms import NOISE_STD_N, LawArm, Push, inferred_torque
 
@@ -149,6 +151,44 @@ def test_derivatives_by_what_the_equilibrium_lacks_are_those_of_the_prediction()
         expected = -(above - below) / (2.0 * step[i])
         given = answer.by_parameter[:, i]
         np.testing.assert_allclose(given, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_groups_of_parameters_may_stand_in_any_order(lab, monkeypatch):
+    """The same arm with its groups turned around has the same answer, parameter by parameter."""
+    rng = np.random.default_rng(8)
+    theta = lab.parameters.drawn(rng)
+    command = lab.command(rng)
+    push = Push(2, 0.08, (3.0, 10.0, -15.0))
+    reading = lab.read(lab.within_the_statics(theta), command, [push])
+    expected = lab.answer(reading, command, theta)
+    built = ArmParameters.__init__
+
+    def turned_around(parameters, *given):
+        built(parameters, *given)
+        parameters.groups = parameters.groups[::-1]
+
+    monkeypatch.setattr(ArmParameters, "__init__", turned_around)
+    turned = LawArm(open_arm("cdsm_lab"))
+    there = [turned.parameters.names.index(name) for name in lab.parameters.names]
+    theta_turned = np.empty_like(theta)
+    theta_turned[there] = theta
+    answer = turned.answer(reading, command, theta_turned)
+    assert there != list(range(len(there)))
+    np.testing.assert_allclose(answer.by_parameter[:, there], expected.by_parameter, rtol=1e-9)
+    np.testing.assert_allclose(answer.innovation_n, expected.innovation_n, rtol=1e-9)
+    np.testing.assert_allclose(answer.by_torque, expected.by_torque, rtol=1e-9)
+
+
+def test_a_group_that_the_graph_does_not_know_is_refused(monkeypatch):
+    built = ArmParameters.__init__
+
+    def with_another(parameters, *given):
+        built(parameters, *given)
+        parameters.groups = (ParameterGroup("twist", "rad", ("arm",), 0.1), *parameters.groups)
+
+    monkeypatch.setattr(ArmParameters, "__init__", with_another)
+    with pytest.raises(ValueError, match="twist"):
+        LawArm(open_arm("cdsm_lab"))
 
 
 def weightless(arm, wraps):

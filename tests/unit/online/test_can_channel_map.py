@@ -152,6 +152,17 @@ def test_a_broken_dbc_is_refused(text, refusal):
     assert str(caught.value).startswith("mine.dbc: ")
 
 
+def test_a_big_endian_signal_that_does_not_fit_is_told_where_it_starts():
+    """From bit 56 on it goes down to the end of byte 7, and beyond; from bit 55 on it fits."""
+    big_endian = HEAD + SIGNAL.replace("0|8@1+", "55|16@0+")
+    assert parse_database(big_endian).messages[0].signals[0].byte_order == "big_endian"
+    with pytest.raises(ChannelMapError, match="15 in byte 1"):
+        parse_database(big_endian.replace("55|16", "56|16"))
+    with pytest.raises(ChannelMapError) as caught:
+        parse_database(HEAD + SIGNAL.replace("0|8@1+", "60|8@1+"))
+    assert "endian" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "refusal"),
     [

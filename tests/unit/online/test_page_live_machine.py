@@ -257,7 +257,7 @@ def test_of_a_moment_one_sentence_states_what_is_known(live):
     shown = live.snapshot(1.0)
     assert shown.estimated == ()
     known = Contact(1, np.degrees(np.arctan(0.75)), moment_n_m=3.2)
-    assert shown.moment == pytest.approx(known)
+    assert shown.known_by_moment == pytest.approx(known)
     assert shown.region == (pytest.approx(PlaceInterval(1, 0.02, 0.13)),)
     sentence = "segment 1: moment 3.2 N·m known, force between 20 and 90 N"
     assert shown.status.headline == f"Contact on {sentence}"

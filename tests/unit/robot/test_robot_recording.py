@@ -185,11 +185,11 @@ def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_p
         for k, row in enumerate(table[:60].to_dict("records")):
             if k == 30:
                 bag.trial(10 * k + 1, 7)
+            stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
             if k >= 20:
                 command = [row[f"torque.{name}"] for name in names]
-                bag.joint_state(JOINT_COMMANDS, 10 * k + 2, 0, names, position=command)
+                bag.joint_state(JOINT_COMMANDS, 10 * k + 2, stamp_ns, names, position=command)
             position = [row[f"position.{name}"] for name in names]
-            stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
             bag.joint_state(CABLE_TENSIONS, 10 * k + 3, stamp_ns, names, position=position)
     recording = read_robot_recording(path, robot)
     assert np.ptp(recording.time_s) == pytest.approx(table.time_s[59] - table.time_s[20])

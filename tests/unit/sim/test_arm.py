@@ -113,6 +113,7 @@ def test_a_wrong_unit_is_caught(key: str, value: Any) -> None:
         ({"segments.count": 0}, "at least 1"),
         ({"segments.count": 4.5}, "whole number"),
         ({"cables.per_segment": 2}, "at least 3"),
+        ({"cables.per_segment": [3, 3, 3, 0]}, "a machine file"),
         ({"cables.pretension_n": 0}, "greater than 0"),
         ({"cables.unilateral": False}, "True"),
         ({"segments.joint_axes": ["z", "y"]}, "must be 'y'"),

@@ -157,6 +157,11 @@ def test_a_machine_with_measured_joints_needs_no_pretension(tmp_path: Path) -> N
     assert open_machine(opened(tmp_path, file=file)).is_measured
 
 
+def test_one_error_of_all_springs_needs_springs(tmp_path: Path) -> None:
+    file = FILE + "tolerances: {common_joint_stiffness_share: 0.1}"
+    assert "joints with springs" in refusal(opened(tmp_path, file=file))
+
+
 def test_a_model_that_is_not_there_is_named(tmp_path: Path) -> None:
     path = opened(tmp_path, file=FILE.replace("machine.xml", "other.xml"))
     assert "other.xml" in refusal(path)
