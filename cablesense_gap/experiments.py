@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.arm_simulator import counted_rows, entries_from
 from cablesense_gap.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import listed, short
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.registry import known_effects
@@ -79,8 +82,12 @@ def next_experiment(
     if any(e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)):
         rate_hz = min(rate_hz, _SLOW_HZ)
     offered = standard_protocol(arm) if blocks is None else blocks
-    tried = [(block, _differences_n(arm, block, compared, rate_hz)) for block in offered]
-    best = _furthest([each for each in tried if each[1]], floor_n)
+    tried = [
+        predicted
+        for block in offered
+        if (predicted := _predicted(arm, block, compared, rate_hz)) is not None
+    ]
+    best = _furthest(tried, floor_n)
     if best is None:
         return Experiment("No block of the protocol can be simulated with these explanations.")
     block, by_cable_n = best
@@ -99,41 +106,88 @@ def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
     }
 
 
-def _differences_n(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> list[Array]:
-    """Differences (R, M) of the first rival to each other in a block.
+@dataclass(frozen=True)
+class _PredictedBlock:
+    """A block as the hypotheses predict it.
 
-    Of the rows that count in sizes of gaps. Empty without such a row, or if a hypothesis cannot
-    be simulated.
+    Attributes:
+        rows: the R rows of the block.
+        predicted_n: (R, M) readings by the first hypothesis.
+        differences_n: (R, M) from these to the readings by each of the others.
     """
+
+    arm: Arm
+    block: Block
+    rows: Recording
+    predicted_n: Array
+    differences_n: list[Array]
+
+    def most_n(self, *, free_constants: bool) -> float:
+        """What the difference to the nearest hypothesis cannot exceed, whatever rows count.
+
+        No rows have an RMS about their mean of more than half the range.
+        """
+        if free_constants:
+            largest_n = [0.5 * np.ptp(d, axis=0) for d in self.differences_n]
+        else:
+            largest_n = [np.abs(d).max(axis=0) for d in self.differences_n]
+        return min(map(_rms, largest_n))
+
+    def by_cable_n(self, *, free_constants: bool) -> Array | None:
+        """RMS in each cable (M,) of the difference to the nearest hypothesis.
+
+        Of the rows that count in sizes of gaps; None without such a row.
+        """
+        if not self._counted.any():
+            return None
+        counted_n = [difference_n[self._counted] for difference_n in self.differences_n]
+        left_n = [d - d.mean(0) if free_constants else d for d in counted_n]
+        nearest_n = min(left_n, key=lambda each: float((each**2).sum()))
+        return np.asarray(np.sqrt((nearest_n**2).mean(0)))
+
+    @cached_property
+    def _counted(self) -> NDArray[np.bool_]:
+        return counted_rows(self.arm, self.rows, self.predicted_n)
+
+
+def _predicted(
+    arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float
+) -> _PredictedBlock | None:
+    """A block as the rivals predict it; None if one of them cannot be simulated."""
     rows = rows_of((block,), rate_hz)
     replay = Replay(arm, rows.course)
     try:
-        predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
+        first_n, *others_n = (
+            replay.readings_n([[*entries_of(arm), *entries_from(rival)]])[0] for rival in rivals
+        )
     except EquilibriumError:
-        return []
-    used = counted_rows(arm, rows, predicted[0])
-    return [(predicted[0] - other)[used] for other in predicted[1:]] if used.any() else []
+        return None
+    return _PredictedBlock(arm, block, rows, first_n, [first_n - other_n for other_n in others_n])
 
 
-def _furthest(
-    tried: Sequence[tuple[Block, list[Array]]], floor_n: float
-) -> tuple[Block, Array] | None:
+def _furthest(tried: Sequence[_PredictedBlock], floor_n: float) -> tuple[Block, Array] | None:
     """The block with the largest difference to the nearest rival, and its RMS in each cable (M,).
 
-    Constants count only if no block shows a clear difference without them.
+    Constants count only if no block shows a clear difference without them. Which rows count takes
+    long to find out: it is left open in blocks whose difference cannot be large enough.
     """
-    sizes: list[tuple[Block, Array]] = []
+    sizes: dict[int, Array] = {}
     most_n = 0.0
     for free_constants in (True, False):
-        sizes = []
-        for block, differences_n in tried:
-            left_n = [d - d.mean(0) if free_constants else d for d in differences_n]
-            nearest_n = min(left_n, key=lambda each: float((each**2).sum()))
-            sizes.append((block, np.sqrt((nearest_n**2).mean(0))))
-        most_n = max((_rms(by_cable_n) for _, by_cable_n in sizes), default=0.0)
+        sizes = {}
+        most_n = 0.0
+        bounds_n = np.array([each.most_n(free_constants=free_constants) for each in tried])
+        for k in np.argsort(-bounds_n, kind="stable").tolist():
+            if bounds_n[k] < _AS_FAR * most_n:
+                break
+            by_cable_n = tried[k].by_cable_n(free_constants=free_constants)
+            if by_cable_n is not None:
+                sizes[k] = by_cable_n
+                most_n = max(most_n, _rms(by_cable_n))
         if most_n >= _CLEAR_FLOORS * floor_n:
             break
-    return next((each for each in sizes if _rms(each[1]) >= _AS_FAR * most_n), None)
+    furthest = sorted(k for k, by_cable_n in sizes.items() if _rms(by_cable_n) >= _AS_FAR * most_n)
+    return (tried[furthest[0]].block, sizes[furthest[0]]) if furthest else None
 
 
 def _rms(by_cable_n: Array) -> float:

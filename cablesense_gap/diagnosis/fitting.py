@@ -350,7 +350,8 @@ class _Fit:
         all_columns = all_columns[free_indices]
         held_out_effects = predicted.copy()
         tolerated = np.zeros_like(predicted)
-        without = fold_solutions(part, nuisance_end, precision, offset, weight_, problem.fold)
+        folds = part.of_folds(problem.fold)
+        without = fold_solutions(folds, nuisance_end, precision, offset, weight_)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
             tolerated[rows] = np.tensordot(

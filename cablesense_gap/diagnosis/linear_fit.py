@@ -54,6 +54,15 @@ class Products:
             self.count,
         )
 
+    def of_folds(self, fold: Indices) -> Products:
+        """The sums of each fold 0 … F - 1 in place of those of trials, whose folds are (T,)."""
+        folds = range(int(fold.max()) + 1)
+        gram, moment, square, count = (
+            np.array([of_trials[fold == k].sum(0) for k in folds])
+            for of_trials in (self.gram, self.moment, self.square, self.count)
+        )
+        return Products(gram, moment, square, count)
+
     @property
     def mean_square(self) -> float:
         """Mean square of y over all trials, in its unit squared."""
@@ -99,100 +108,90 @@ def solve(gram: Array, moment: Array, precision: Array, offset: Array, weight_: 
 
 
 def fold_solutions(
-    data: Products, nuisance: int, precision: Array, offset: Array, weight_: float, fold: Indices
+    folds: Products, nuisance: int, precision: Array, offset: Array, weight_: float
 ) -> Array:
-    """(F, K) the coefficients without each of the folds 0 … F - 1.
+    """(F, K) the coefficients without each of the F folds, of which the products are the sums.
 
     The first `nuisance` coefficients are then fitted to all trials, with the others as
     they are: often one trial alone shows a nuisance parameter, and then no fit to the rest
     predicts it.
     """
-    gram = data.gram.sum(0)
-    moment = data.moment.sum(0)
+    gram = folds.gram.sum(0)
+    moment = folds.moment.sum(0)
     t = slice(None, nuisance)
     e = slice(nuisance, None)
-    solutions = []
-    for k in range(int(fold.max()) + 1):
-        fold_gram = data.gram[fold == k].sum(0)
-        fold_moment = data.moment[fold == k].sum(0)
-        solution = solve(gram - fold_gram, moment - fold_moment, precision, offset, weight_)
-        beside = moment[t] - gram[t, e] @ solution[e]
-        solution[t] = solve(gram[t, t], beside, precision[t], offset[t], weight_)
-        solutions.append(solution)
-    return np.array(solutions)
+    systems = weight_ * (gram - folds.gram) + np.diag(precision)
+    pulls = weight_ * (moment - folds.moment) - precision * offset
+    solutions = np.linalg.solve(systems, pulls[..., None])[..., 0]
+    of_nuisance = weight_ * gram[t, t] + np.diag(precision[t])
+    beside = weight_ * (moment[t] - solutions[:, e] @ gram[e, t]) - precision[t] * offset[t]
+    solutions[:, t] = np.linalg.solve(of_nuisance, beside.T).T
+    return np.asarray(solutions)
 
 
 def held_out_squares(
-    data: Products, nuisance: int, precision: Array, offset: Array, weight_: float, fold: Indices
+    folds: Products, nuisance: int, precision: Array, offset: Array, weight_: float
 ) -> Array:
-    """(T,) sum of squares left in each trial by the solution without its fold."""
-    trial_solutions = fold_solutions(data, nuisance, precision, offset, weight_, fold)[fold]
-    explained = (
-        (data.gram @ trial_solutions[..., None])[..., 0] - 2.0 * data.moment
-    ) * trial_solutions
-    return np.maximum(data.square + explained.sum(-1), 0.0)
+    """(F,) sum of squares left in each of the F folds by the solution without it."""
+    solutions = fold_solutions(folds, nuisance, precision, offset, weight_)
+    explained = ((folds.gram @ solutions[..., None])[..., 0] - 2.0 * folds.moment) * solutions
+    return np.maximum(folds.square + explained.sum(-1), 0.0)
 
 
 class Reduced:
     """Held-out mean squares of sets of columns at one weight, nuisance parameters eliminated."""
 
     def __init__(
-        self,
-        data: Products,
-        nuisance: int,
-        base: int,
-        precision: Array,
-        weight_: float,
-        fold: Indices,
+        self, folds: Products, nuisance: int, base: int, precision: Array, weight_: float
     ) -> None:
-        """The first `base` columns of `data` are always fitted along.
+        """The first `base` columns of `folds`, the sums of each fold, are always fitted along.
 
         The first `nuisance` of them are nuisance parameters.
         """
         self._nuisance_count = nuisance
-        self._count = data.count.sum()
-        system = []
-        moment = []
-        form = []
-        slope = []
-        constant = 0.0
-        gram = data.gram.sum(0)
-        product = data.moment.sum(0)
+        self._count = folds.count.sum()
         t = slice(None, nuisance)
         b = slice(None, base)
         c = slice(base, None)
-        of_nuisance = weight_ * gram[t, t] + np.diag(precision[t])
-
-        def eliminated(g: Array, m: Array) -> tuple[Array, Array]:
-            eliminations = np.linalg.solve(
-                weight_ * g[b, b] + np.diag(precision[b]),
-                weight_ * np.column_stack([m[b], g[b, c]]),
-            )
-            first = eliminations[:, 0]
-            by = eliminations[:, 1:]
-            system.append(weight_ * (g[c, c] - g[c, b] @ by) + np.diag(precision[c]))
-            moment.append(weight_ * (m[c] - g[c, b] @ first))
-            return np.asarray(first), np.asarray(by)
-
-        for k in range(int(fold.max()) + 1):
-            fold_gram = data.gram[fold == k].sum(0)
-            fold_product = data.moment[fold == k].sum(0)
-            first, by = eliminated(gram - fold_gram, product - fold_product)
-            across = fold_gram[b, b] @ by - fold_gram[b, c]
-            pull = np.column_stack([fold_product[t] - fold_gram[t, b] @ first, -across[t]])
-            moved = weight_ * np.linalg.solve(of_nuisance, pull)
-            gain = pull.T @ moved
-            gain += gain.T - moved.T @ fold_gram[t, t] @ moved
-            form.append(fold_gram[c, c] - fold_gram[c, b] @ by + by.T @ across - gain[1:, 1:])
-            slope.append(fold_product[c] - by.T @ fold_product[b] + across.T @ first - gain[1:, 0])
-            constant += data.square[fold == k].sum() - gain[0, 0]
-            constant += first @ (fold_gram[b, b] @ first - 2.0 * fold_product[b])
-        self._first, self._by = eliminated(gram, product)
-        self._system = np.array(system)
-        self._moment = np.array(moment)
-        self._form = np.array(form)
-        self._slope = np.array(slope)
-        self._constant = constant
+        of_base = folds.gram[:, b, b]
+        of_both = folds.gram[:, b, c]
+        of_columns = folds.gram[:, c, c]
+        base_moment = folds.moment[:, b, None]
+        eliminated = np.linalg.solve(
+            weight_ * _without_each(of_base) + np.diag(precision[b]),
+            weight_ * _without_each(np.concatenate([base_moment, of_both], axis=2)),
+        )
+        # (F + 1, B, 1) b₀ and (F + 1, B, C) B: without each fold, and last with all
+        first = eliminated[:, :, :1]
+        by = eliminated[:, :, 1:]
+        self._first = first[-1, :, 0]
+        self._by = by[-1]
+        crossed = _without_each(of_both).swapaxes(1, 2)
+        system = _without_each(of_columns)
+        system -= crossed @ by
+        system *= weight_
+        diagonal = np.arange(len(precision) - base)
+        system[:, diagonal, diagonal] += precision[c]
+        self._system = system
+        self._moment = weight_ * (_without_each(folds.moment[:, c]) - (crossed @ first)[..., 0])
+        fold_first = first[:-1]
+        fold_by = by[:-1]
+        across = of_base @ fold_by - of_both
+        remaining = base_moment - of_base @ fold_first
+        # (F, J, 1 + C) X_t'r in the fold, and by how much it moves the nuisance parameters
+        pull = np.concatenate([remaining[:, t], -across[:, t]], axis=2)
+        of_nuisance = weight_ * folds.gram[:, t, t].sum(0) + np.diag(precision[t])
+        moved = weight_ * np.linalg.solve(of_nuisance, pull)
+        beyond = pull - folds.gram[:, t, t] @ moved
+        gain = pull.swapaxes(1, 2) @ moved + moved.swapaxes(1, 2) @ beyond
+        form = of_columns - of_both.swapaxes(1, 2) @ fold_by
+        form += fold_by.swapaxes(1, 2) @ across
+        form -= gain[:, 1:, 1:]
+        self._form = form
+        slope = fold_by.swapaxes(1, 2) @ base_moment - across.swapaxes(1, 2) @ fold_first
+        self._slope = folds.moment[:, c] - slope[..., 0] - gain[:, 1:, 0]
+        explained = (fold_first * (base_moment + remaining)).sum((1, 2))
+        self._constant = float((folds.square - gain[:, 0, 0] - explained).sum())
 
     def left(self, sets: NDArray[np.int64]) -> tuple[Array, Array]:
         """(N,) mean squares that N sets (N, K) of columns leave, counted from behind the base.
@@ -210,3 +209,9 @@ class Reduced:
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
         base = self._first[:count] - (by * of_all[:, None]).sum(-1)
         return np.maximum(square, 0.0) / self._count, np.asarray((base**2).sum(-1))
+
+
+def _without_each(of_folds: Array) -> Array:
+    """(F + 1, …) sums over all folds without each one, and last over all, of sums (F, …)."""
+    total = of_folds.sum(0)
+    return np.concatenate([total - of_folds, total[None]])

@@ -282,7 +282,6 @@ class Selection:
         self._residual = residual
         self._data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self._precision = np.concatenate([np.ones(self._base), *(e.precision for e in offered)])
-        self._folds = np.arange(len(self._data.count))
         self._known = Counter(effect for effect, _ in about.locations)
         ranges = problem.parameters
         self._positive = [
@@ -348,49 +347,53 @@ class Selection:
 
     def _extended(self, chosen: Sequence[int], among: Sequence[int]) -> Iterator[_Scored]:
         """The chosen locations with one more, or two of one effect, each with a forecast."""
-        first = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
-        new = [k for k in among if self._fits(k, chosen)]
-        if not new:
+        by_effect: dict[str, list[int]] = {}
+        for k in among:
+            if self._fits(k, chosen):
+                by_effect.setdefault(self._offered[k].effect, []).append(k)
+        if not by_effect:
             return
-        order = np.concatenate([first, *(self._owned[k] for k in new)])
         weight_ = weight(self._fitted(chosen)[1], self._problem.floor)
+        for locations in by_effect.values():
+            yield from self._extended_by(locations, chosen, weight_)
+
+    def _extended_by(
+        self, locations: Sequence[int], chosen: Sequence[int], weight_: float
+    ) -> Iterator[_Scored]:
+        """The chosen locations with one or two of an effect's, each with a forecast."""
+        first = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
+        order = np.concatenate([first, *(self._owned[k] for k in locations)])
         reduced = Reduced(
             self._data.columns(order),
             len(self._problem.nuisance_columns),
             len(first),
             self._precision[order],
             weight_,
-            self._folds,
         )
-        ends = np.cumsum([len(self._owned[k]) for k in new])
+        ends = np.cumsum([len(self._owned[k]) for k in locations])
         positions = {
-            k: np.arange(n - len(self._owned[k]), n) for k, n in zip(new, ends, strict=True)
+            k: np.arange(n - len(self._owned[k]), n) for k, n in zip(locations, ends, strict=True)
         }
-        options = [[k] for k in new]
-        by_effect: dict[str, list[int]] = {}
-        for k in new:
-            if self._offered[k].place != WHOLE_ARM:
-                by_effect.setdefault(self._offered[k].effect, []).append(k)
+        options = [[k] for k in locations]
         # of two cables that pull against each other, either alone may explain nothing
-        for same_effect in by_effect.values():
-            if len(same_effect) <= _MOST_PAIRED:
-                options += [
-                    [a, b]
-                    for a, b in combinations(same_effect, 2)
-                    if self._offered[a].place != self._offered[b].place
-                ]
-        by_count: dict[int, list[list[int]]] = {}
+        parts = [k for k in locations if self._offered[k].place != WHOLE_ARM]
+        if len(parts) <= _MOST_PAIRED:
+            options += [
+                [a, b]
+                for a, b in combinations(parts, 2)
+                if self._offered[a].place != self._offered[b].place
+            ]
+        by_count: dict[tuple[int, int], list[list[int]]] = {}
         for option in options:
-            by_count.setdefault(sum(len(positions[k]) for k in option), []).append(option)
+            columns = sum(len(positions[k]) for k in option)
+            by_count.setdefault((len(option), columns), []).append(option)
         for group in by_count.values():
+            penalty = self._penalty([*chosen, *group[0]])
             sets = np.array([np.concatenate([positions[k] for k in option]) for option in group])
             mean_squares, chi2 = reduced.left(sets)
             for option, square, off in zip(group, mean_squares, chi2, strict=True):
-                extended = [*chosen, *option]
-                yield (
-                    self._problem.cost(float(square), float(off)) * self._penalty(extended),
-                    extended,
-                )
+                cost = self._problem.cost(float(square), float(off))
+                yield cost * penalty, [*chosen, *option]
 
     def _fits(self, k: int, chosen: Sequence[int]) -> bool:
         """Whether a location may stand together with those that are chosen."""
@@ -470,9 +473,7 @@ class Selection:
         nuisance = len(problem.nuisance_columns)
         for _ in range(_WEIGHTINGS):
             weight_ = weight(mean_square, problem.floor)
-            squares_left = held_out_squares(
-                part, nuisance, precision, zero_offset, weight_, self._folds
-            )
+            squares_left = held_out_squares(part, nuisance, precision, zero_offset, weight_)
             mean_square = float(squares_left.sum() / count)
         coefficients = solve(part.gram.sum(0), part.moment.sum(0), precision, zero_offset, weight_)
         chi2 = float((coefficients[:nuisance] ** 2).sum())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
@@ -126,6 +126,14 @@ class Effect(EffectDescription):
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         """The mechanism as the effect leaves it."""
+        return mechanism
+
+    def amend_all(
+        self, mechanism: Mechanism, everywhere: Sequence[tuple[str, OneArm]]
+    ) -> Mechanism:
+        """The mechanism as the effect leaves it in several places, one after the other."""
+        for place, values in everywhere:
+            mechanism = self.amend(mechanism, place, values)
         return mechanism
 
     def lever(self, mechanism: Mechanism, place: str, values: OneArm) -> float:

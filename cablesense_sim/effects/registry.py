@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
+from itertools import groupby
 from types import MappingProxyType, ModuleType
 from typing import TypeVar
 
@@ -129,8 +130,9 @@ _Acting = TypeVar("_Acting")
 
 def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
     """The mechanism as changed by those effects that act on the arm itself."""
-    for entry in sorted(entries, key=_order):
-        mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
+    for effect, its_entries in groupby(sorted(entries, key=_order), key=lambda e: e.effect):
+        everywhere = [(entry.place, entry.values) for entry in its_entries]
+        mechanism = effect.amend_all(mechanism, everywhere)
     return mechanism
 
 

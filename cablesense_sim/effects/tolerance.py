@@ -9,6 +9,7 @@ of the friction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -119,19 +120,28 @@ class HoleTolerance(Effect):
         )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        _, cable, _, plate = place.split("_")
-        i = int(cable) - 1
-        n = int(plate) - 1
-        moved = np.array(values["outward_m"]), np.array(values["around_m"])
-        if n < 0:
-            base_y = mechanism.hole_y_m.copy()
-            base_z = mechanism.hole_z_m.copy()
-            base_y[i], base_z[i] = displaced_m(base_y[i], base_z[i], *moved)
-            return replace(mechanism, hole_y_m=base_y, hole_z_m=base_z)
+        return self.amend_all(mechanism, [(place, values)])
+
+    def amend_all(
+        self, mechanism: Mechanism, everywhere: Sequence[tuple[str, OneArm]]
+    ) -> Mechanism:
+        """All holes of an arm at once, which are many."""
+        base_y = mechanism.hole_y_m.copy()
+        base_z = mechanism.hole_z_m.copy()
         y = mechanism.segment_hole_y_m.copy()
         z = mechanism.segment_hole_z_m.copy()
-        y[i, n], z[i, n] = displaced_m(y[i, n], z[i, n], *moved)
-        return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
+        for place, values in everywhere:
+            _, cable, _, plate = place.split("_")
+            i = int(cable) - 1
+            n = int(plate) - 1
+            moved = np.array(values["outward_m"]), np.array(values["around_m"])
+            if n < 0:
+                base_y[i], base_z[i] = displaced_m(base_y[i], base_z[i], *moved)
+            else:
+                y[i, n], z[i, n] = displaced_m(y[i, n], z[i, n], *moved)
+        return replace(
+            mechanism, hole_y_m=base_y, hole_z_m=base_z, segment_hole_y_m=y, segment_hole_z_m=z
+        )
 
 
 class SensorTolerance(Effect):

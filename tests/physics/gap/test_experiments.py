@@ -67,6 +67,16 @@ def test_a_block_that_confirms_either_distinguishes_them():
 
 
 @pytest.mark.slow
+def test_the_first_block_is_proposed_that_shows_almost_as_much_as_any():
+    """Each block is judged by itself; a rest shows neither of these."""
+    for rival in (SPRING, CONTACT):
+        alone = [next_experiment(LAB, [rival], FLOOR_N, (block,)) for block in FEW]
+        most_n = max(each.separation_n for each in alone)
+        first_best = next(each for each in alone if each.separation_n >= 0.9 * most_n)
+        assert next_experiment(LAB, [rival], FLOOR_N, FEW) == first_best
+
+
+@pytest.mark.slow
 def test_creep_shows_in_a_long_hold():
     experiment = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
     assert experiment.block == HOLD.does

@@ -41,21 +41,21 @@ def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, fold
     offset = rng.normal(size=4)
     fold = np.arange(TRIALS) % folds
     t = slice(tolerances)
-    data = products(x, y, trial, used)
-    squares_of_trials = held_out_squares(data, tolerances, precision, offset, weight_, fold)
-    for k in range(TRIALS):
-        others = used & (fold[trial] != fold[k])
-        here = used & (trial == k)
+    data = products(x, y, trial, used).of_folds(fold)
+    squares_of_folds = held_out_squares(data, tolerances, precision, offset, weight_)
+    for k in range(folds):
+        others = used & (fold[trial] != k)
+        here = used & (fold[trial] == k)
         fitted = directly(x[:, others], y[others], precision, offset, weight_)
         beside = y - np.tensordot(fitted[tolerances:], x[tolerances:], axes=1)
         fitted[t] = directly(x[t, used], beside[used], precision[t], offset[t], weight_)
         residual = y[here] - np.tensordot(fitted, x[:, here], axes=1)
-        assert squares_of_trials[k] == pytest.approx((residual**2).sum(), rel=1e-6, abs=1e-9)
+        assert squares_of_folds[k] == pytest.approx((residual**2).sum(), rel=1e-6, abs=1e-9)
     columns = [*range(tolerances), 3]
     no_prior = np.zeros(4)
-    reduced = Reduced(data, tolerances, tolerances, precision, weight_, fold)
+    reduced = Reduced(data, tolerances, tolerances, precision, weight_)
     squares = held_out_squares(
-        data.columns(columns), tolerances, precision[columns], no_prior[columns], weight_, fold
+        data.columns(columns), tolerances, precision[columns], no_prior[columns], weight_
     )
     mean_square = reduced.left(np.array([[3 - tolerances]]))[0][0]
     assert mean_square == pytest.approx(squares.sum() / data.count.sum(), rel=1e-6, abs=1e-9)
