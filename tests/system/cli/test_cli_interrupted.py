@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cablesense_base.progress import StagedProgress
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_recording.csv_file import write_csv
-from cablesense_ros.cli.options import DiagnosisProgress
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from tests.helpers.gap_recordings import LAB, propose_no_experiment, small_recording
@@ -38,7 +38,7 @@ def simulated(monkeypatch):
 def stopped_at(monkeypatch):
     """Sends SIGINT once, as soon as the share of the diagnosis that is done reaches a value."""
     waiting = []
-    show = DiagnosisProgress.show
+    show = StagedProgress.show
 
     def stopping(progress, doing, done):
         show(progress, doing, done)
@@ -46,7 +46,7 @@ def stopped_at(monkeypatch):
             waiting.clear()
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(DiagnosisProgress, "show", stopping)
+    monkeypatch.setattr(StagedProgress, "show", stopping)
     return waiting.append
 
 
