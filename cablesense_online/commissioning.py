@@ -34,6 +34,9 @@ _TOUCHED_PROBABILITY = 0.999
 """A reading stops the motion if a contact is so probable."""
 _CONFIRMED = 2
 """Means in turn that must show it."""
+_DEAF_SHARE = 0.5
+"""Of the time without a reading that ends it: where so much passes between two calls, the silence
+is the caller's own."""
 _UNSTEADY_STD = 6.0
 """A reading so many deviations from the mean before it is not of an arm at rest."""
 _FEWEST_STEADY = 5
@@ -243,6 +246,7 @@ class Commissioning:
         self._motion = JointMotion.at_rest(start_rad, self._speed)
         self._moved_ns = now_ns
         self._heard_ns = now_ns
+        self._passed_ns = now_ns
         self._readings = _Readings()
         self._latest = _Readings()
         self._touched = 0
@@ -320,11 +324,14 @@ class Commissioning:
         self._due_rad = None
 
     def _pass(self, now_ns: int) -> None:
+        unheard_ns = now_ns - self._passed_ns
+        self._passed_ns = now_ns
+        if unheard_ns > _DEAF_SHARE * _NS * self._settings.silent_after_s:
+            # what was computed took its time, and no reading could be taken meanwhile
+            self._heard_ns = now_ns
         silent_s = (now_ns - self._heard_ns) / _NS
         if self._added:
-            # what was learnt took its time, and no reading was taken meanwhile
             self._added = False
-            self._heard_ns = now_ns
             self._next(now_ns)
         elif silent_s > self._settings.silent_after_s:
             self.stop(f"no reading for {silent_s:.1f} s", now_ns)

@@ -85,23 +85,26 @@ class MachineLaw:
                 for reading, command in rows
             ]
             stated = self._stated(observed)
+            untouched = observed
         else:
-            explained = [
-                self._soft.explained(Reading(reading, command, mean, covariance, unrest_n2_m2))
+            answers = [
+                self._soft.answer(Reading(reading, command, mean, covariance, unrest_n2_m2))
                 for reading, command in rows
             ]
-            observed = [one.observation for one in explained]
+            observed = [answer.observation for answer in answers]
+            untouched = [answer.untouched for answer in answers]
             stated = {
-                name: np.concatenate([one.stated[name] for one in explained]) for name in STATED
+                name: np.concatenate([answer.stated[name] for answer in answers])
+                for name in STATED
             }
         parts = _stacked(observed)
         # a force that takes a tendon slack reads as any larger one does
         stated["magnitude_ci95_n"][parts.is_slack, 1] = self._largest_n
         return LawOutput(
             **stated,
-            innovation_n=parts.innovation,
+            innovation_n=np.stack([seen.innovation for seen in untouched]),
             information_n2=parts.information,
-            by_parameter=parts.by_parameter,
+            by_parameter=np.stack([seen.by_parameter for seen in untouched]),
             by_torque=parts.by_torque,
             at_joint_m=parts.levers[:, :, :3],
             by_place=parts.levers[:, :, 3:],

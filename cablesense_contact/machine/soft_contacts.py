@@ -101,6 +101,20 @@ class Explained(NamedTuple):
         return 0.5 * (log_information - float(self.stated["free_chi2"][0]))
 
 
+class SoftAnswer(NamedTuple):
+    """What one reading says in the end.
+
+    Attributes:
+        observation: linear about the machine under the likeliest contact.
+        untouched: the one about the untouched machine, of which calibrations are made.
+        stated: the outputs of the statement, batches of one.
+    """
+
+    observation: Observation
+    untouched: Observation
+    stated: Mapping[str, Array]
+
+
 class SoftContacts:
     """Explains readings of one machine."""
 
@@ -114,8 +128,8 @@ class SoftContacts:
         self._middle_m = links.touched_m.mean(axis=1)
         self._largest_n = observer.machine.source.file.touch.largest_n
 
-    def explained(self, reading: Reading) -> Explained:
-        """What a reading says of the machine, about the pose under the likeliest contact."""
+    def answer(self, reading: Reading) -> SoftAnswer:
+        """What a reading says of the machine."""
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
         untouched = self._about(untouched_pose, reading)
         explanations = [untouched, *self._from_starts(untouched, reading)]
@@ -127,8 +141,11 @@ class SoftContacts:
         if log_evidence.max() <= 0.0:
             best = untouched
         log_share = log_evidence - best.log_evidence
-        stated = self._state([best.observation], log_share[np.newaxis])
-        return _against(untouched, Explained(best.observation, stated))
+        restated = Explained(
+            best.observation, self._state([best.observation], log_share[np.newaxis])
+        )
+        stated = _against(untouched, restated).stated
+        return SoftAnswer(best.observation, untouched.observation, stated)
 
     def _from_starts(self, untouched: Explained, reading: Reading) -> Iterator[Explained]:
         """About the rests under forces in the middle of some links, each the best there."""

@@ -266,3 +266,28 @@ def test_a_firm_push_on_a_soft_machine_is_found_where_it_is(link: int) -> None:
     low_m, high_m = seen.region_m[0]
     assert low_m < along_m < high_m
     assert high_m - low_m < 0.09
+
+
+@pytest.mark.slow
+def test_a_soft_machine_is_calibrated_by_what_its_untouched_poses_read() -> None:
+    """Its fit is as good as the sensors are, and a light push is then known to a twentieth."""
+    machine = example_machine("continuum")
+    trial = Trial(machine, seed=19)
+    calibrator = Calibrator(FeltModel(machine), trial.law)
+    built = trial.machine_as_built()
+    unloaded = []
+    for number in range(4):
+        command = bent_command(machine, seed=600 + number)
+        values = np.tile(built.untouched(command).values, (50, 1))
+        mean_n = machine.channels.read(values, trial.rng).mean(axis=0)
+        unloaded.append(Unloaded(mean_n, command, 50))
+    known = calibrator.from_poses(unloaded)
+    assert known.as_described
+    command = bent_command(machine, seed=700)
+    contact = LinkForce(17, np.array([0.008, 0.0, 0.0]), np.array([0.0, 0.4, -0.45]))
+    rest = built.touched(command, (contact,), built.untouched(command))
+    reading = machine.channels.read(rest.values, trial.rng)
+    still = np.zeros((len(machine.coordinates), len(machine.coordinates)))
+    seen = trial.law(reading[None], command[None], known.mean, known.covariance, still)
+    assert abs(int(seen.contact_evidence[0].argmax()) - contact.link) <= 1
+    assert np.hypot(*seen.force_n[0, 1:]) == pytest.approx(np.hypot(0.4, 0.45), rel=0.05)
