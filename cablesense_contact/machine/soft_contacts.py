@@ -131,7 +131,7 @@ class SoftContacts:
     def answer(self, reading: Reading) -> SoftAnswer:
         """What a reading says of the machine."""
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
-        untouched = self._about(untouched_pose, reading)
+        untouched = self._explained(self._about(untouched_pose, reading))
         explanations = [untouched, *self._from_starts(untouched, reading)]
         best = max(explanations, key=_strength)
         for refined in self._refinements(best, untouched, reading):
@@ -150,15 +150,14 @@ class SoftContacts:
     def _from_starts(self, untouched: Explained, reading: Reading) -> Iterator[Explained]:
         """About the rests under forces in the middle of some links, each the best there."""
         for link in self._starts:
-            explained = untouched
+            seen = untouched.observation
             for _ in range(_STEPS_OF_A_START):
-                seen = explained.observation
                 under = self._under(self._contact_on(link, seen), seen.pose, reading)
                 if under is None:
                     break
-                explained = under
-            if explained is not untouched:
-                yield _against(untouched, explained)
+                seen = under
+            if seen is not untouched.observation:
+                yield _against(untouched, self._explained(seen))
 
     def _refinements(
         self, start: Explained, untouched: Explained, reading: Reading
@@ -171,20 +170,23 @@ class SoftContacts:
             under = self._under(best.likeliest, best.observation.pose, reading)
             if under is None:
                 return
-            refined = _against(untouched, under)
+            refined = _against(untouched, self._explained(under))
             if _strength(refined) <= _strength(best):
                 return
             best = refined
             yield best
 
-    def _about(self, pose: Array, reading: Reading) -> Explained:
-        """What the reading says about a pose (n,)."""
-        seen = self._observer.observe(
-            reading.values, reading.command, reading.mean, reading.covariance, reading.unrest, pose
-        )
+    def _explained(self, seen: Observation) -> Explained:
+        """An observation with the statement on it."""
         return Explained(seen, self._state([seen]))
 
-    def _under(self, contact: LinkForce, near: Array, reading: Reading) -> Explained | None:
+    def _about(self, pose: Array, reading: Reading) -> Observation:
+        """The observation in a reading about a pose (n,)."""
+        return self._observer.observe(
+            reading.values, reading.command, reading.mean, reading.covariance, reading.unrest, pose
+        )
+
+    def _under(self, contact: LinkForce, near: Array, reading: Reading) -> Observation | None:
         """About the rest under a contact; None if the machine does not bear it."""
         try:
             pose = self._observer.pose_under(contact, reading.command, reading.mean, near)
