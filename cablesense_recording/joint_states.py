@@ -291,8 +291,9 @@ def _of_poses(
         f"{each.parent or '(no name)'}, which must be those of the model's base."
         for each in tracked
     ]
-    clock_ns, note = one_clock(bag.path, *slowest.counts_and_times[:, 1:].T)
-    notes += [note] if note else []
+    clock = one_clock(bag.path, *slowest.counts_and_times[:, 1:].T)
+    clock_ns = clock.time_ns
+    notes += clock.notes
     kept = np.ones(len(clock_ns), dtype=bool)
     columns: dict[str, Array] = {}
     for number, (topic, times, labels, values) in enumerate(series):
@@ -304,14 +305,14 @@ def _of_poses(
             )
         brought = values
         if number:
-            own_ns, _ = one_clock(bag.path, *times[:, 1:].T)
-            back = np.flatnonzero(np.diff(own_ns) <= 0)
+            topic_ns = one_clock(bag.path, *times[:, 1:].T).time_ns
+            back = np.flatnonzero(np.diff(topic_ns) <= 0)
             if back.size:
                 raise RecordingError(
                     f"{bag.path}: the stamps of {topic} stand still or run back in their message "
                     f"{back[0] + 2}; each must be later than the one before"
                 )
-            known, brought_values = _brought_to(clock_ns, own_ns, values[:, None, :])
+            known, brought_values = _brought_to(clock_ns, topic_ns, values[:, None, :])
             brought = brought_values[:, 0]
             kept &= known
         columns |= zip(labels, brought.T, strict=True)
@@ -487,12 +488,13 @@ def _merged(
     logs = [times[:, 1] for times, _, _ in series]
     clocks = []
     for times, _, _ in series:
-        clock_ns, note = one_clock(path, times[:, 1], times[:, 2])
-        clocks.append(clock_ns)
-        notes += [note] if note else []
+        clock = one_clock(path, times[:, 1], times[:, 2])
+        clocks.append(clock.time_ns)
+        notes += clock.notes
     if len(series) > 1:
         behind_s = [
-            1e-9 * float(np.median(log - clock)) for log, clock in zip(logs, clocks, strict=True)
+            1e-9 * float(np.median(log_ns - clock_ns))
+            for log_ns, clock_ns in zip(logs, clocks, strict=True)
         ]
         if np.ptp(behind_s) > _OTHER_CLOCK_S:
             clocks = logs

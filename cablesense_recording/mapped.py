@@ -142,7 +142,7 @@ def _read_bag(path: Path, layout: Layout, columns: ColumnMap) -> Recording:
         needed = tension_topic if held else f"{tension_topic} after {command_topic}"
         raise RecordingError(f"{path}: has no message on {needed}, but {present}")
     logs_ns, stamps_ns = np.array(times_ns, dtype=np.int64).T
-    clock_ns, _ = one_clock(path, logs_ns, stamps_ns)
+    clock_ns = one_clock(path, logs_ns, stamps_ns).time_ns
     count = len(times_ns)
     recording = _recording(
         plain_name(path.stem),

@@ -126,8 +126,9 @@ class BagRows:
                 f"{command_topic}; record on after the command"
             )
         logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
-        clock_ns, odd = one_clock(path, logs_ns, stamps_ns)
-        time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
+        clock = one_clock(path, logs_ns, stamps_ns)
+        passed_ns = clock.time_ns - clock.time_ns[0]
+        time_s: Array = passed_ns.astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
         ends = np.cumsum([1, 1, 1, 3, len(self._layout.command_names)])
         trial, segment, place, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
@@ -139,7 +140,6 @@ class BagRows:
         else:
             trials = derive_trials(time_s, command, segments, load_n, at_m)
         name = plain_name(path.stem)
-        notes = (odd,) if odd else ()
         return Recording(
             name=name,
             time_s=time_s,
@@ -150,7 +150,7 @@ class BagRows:
             tensions_n=tensions_n,
             load_at_m=at_m,
             message=np.array(self._messages, dtype=np.int64),
-            notes=(*notes, *self._first_command.notes),
+            notes=(*clock.notes, *self._first_command.notes),
             commanded_inside=self._first_command.comes_inside,
         )
 

@@ -215,10 +215,20 @@ refuse = partial(Finding, True)
 warn = partial(Finding, False)
 
 
-def one_clock(
-    path: Path, arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], str]:
-    """The one clock (R,) of messages of a bag that came at `arrival_ns`; a sentence if it is odd.
+class BagClock(NamedTuple):
+    """The one clock of R messages of a bag.
+
+    Attributes:
+        time_ns: (R,) since the epoch, or since simulated time began.
+        notes: a sentence, if the times of arrival count though some messages have stamps.
+    """
+
+    time_ns: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
+
+
+def one_clock(path: Path, arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]) -> BagClock:
+    """The one clock of messages (R,) of a bag that came at `arrival_ns`.
 
     Stamps count, also from 0 on, as simulated time begins. Where some are missing, which 0 stands
     for, the times of arrival count for all: rows of two clocks have no order.
@@ -235,7 +245,7 @@ def one_clock(
         and float(steps_ns[0]) <= _GAP_INTERVALS * float(np.median(steps_ns))
     )
     if not missing.any() or begins_at_zero:
-        return stamp_ns, ""
+        return BagClock(stamp_ns)
     stated_steps_ns = np.diff(stamp_ns[~missing])
     if (stated_steps_ns <= 0).any():
         back_s = -1e-9 * float(stated_steps_ns.min())
@@ -245,11 +255,12 @@ def one_clock(
             "in which order they were read; see whether two nodes publish them, and record again"
         )
     if missing.all():
-        return arrival_ns, ""
-    return arrival_ns, (
+        return BagClock(arrival_ns)
+    note = (
         f"Stamps are missing in {int(missing.sum())} of {len(stamp_ns)} messages, so the times of "
         "arrival count."
     )
+    return BagClock(arrival_ns, (note,))
 
 
 def refuse_unusable(

@@ -59,7 +59,8 @@ class ForwardComparison(MotionComparison):
         span = _span(motion)
         windows = _windows(motion, span, _substeps(robot, motion))
         begins = windows.begins
-        compared_trials, self.trial = np.unique(windows.trials, return_inverse=True)
+        compared_trials = np.unique(windows.trials)
+        self.trial = np.searchsorted(compared_trials, windows.trials)
         self.trial_labels = tuple(motion.trials[number].label for number in compared_trials)
         self._rollouts = Rollouts(robot, motion, begins, span)
         self.span_s = span / motion.rate_hz

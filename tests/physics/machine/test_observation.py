@@ -96,7 +96,7 @@ def test_one_error_of_all_springs_changes_readings_as_if_each_had_it(tmp_path: P
     rest = described.untouched(command)
     _, seen = observed(machine, rest.values, command, rest.pose)
     common = parameters.slices["common_joint_stiffness"]
-    each = parameters.slices["joint_stiffness"]
+    of_springs = parameters.slices["joint_stiffness"]
     assert parameters.prior_std[common].tolist() == [0.2]
     share = 1e-3
     softer = exact.copy()
@@ -109,7 +109,7 @@ def test_one_error_of_all_springs_changes_readings_as_if_each_had_it(tmp_path: P
     difference = (readings[0] - readings[1]) / (2.0 * share)
     by_common = seen.by_parameter[:, common]
     np.testing.assert_allclose(by_common[:, 0], difference, rtol=1e-3)
-    np.testing.assert_allclose(by_common[:, 0], seen.by_parameter[:, each].sum(axis=1))
+    np.testing.assert_allclose(by_common[:, 0], seen.by_parameter[:, of_springs].sum(axis=1))
 
 
 @pytest.mark.parametrize("name", ["finger", "seven_hinges", "hand", "continuum"])

@@ -153,5 +153,5 @@ def test_a_soft_machine_finds_rest_far_from_where_the_search_begins() -> None:
     for seed in range(10):
         command = bent_command(machine, seed, reach_deg=15.0)
         rest = described.untouched(command)
-        left = statics.residual(rest.pose, described.unstretched_m(command))
-        assert np.abs(left).max() < 1e-6
+        residual = statics.residual(rest.pose, described.unstretched_m(command))
+        assert np.abs(residual).max() < 1e-6

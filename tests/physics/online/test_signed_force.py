@@ -105,8 +105,8 @@ def answers_of(finger: LoadedMachine) -> list[Answer]:
         tensions_n=nominal.untouched(command).values + changes_n,
     )
     settings = node_settings(tare_samples=20)
-    each = [one.answer for one in recorded_answers(recording, finger, settings)]
-    return [each[UNTOUCHED - 1], each[UNTOUCHED + PUSHED - 1], each[-1]]
+    by_row = [recorded.answer for recorded in recorded_answers(recording, finger, settings)]
+    return [by_row[UNTOUCHED - 1], by_row[UNTOUCHED + PUSHED - 1], by_row[-1]]
 
 
 def test_pushes_to_both_sides_have_opposite_signs(

@@ -131,17 +131,18 @@ def test_a_load_at_another_place_begins_a_trial(tmp_path):
     assert got.trial.tolist() == [0, 1, 1, 2, 3, 3]
 
 
+WITH_OFFSETS = (
+    TENSIONS,
+    ("offsets", LAB.cable_names, [1e-5] * 12),
+    TENSIONS,
+    ("offsets", LAB.cable_names, [0.0] * 12),
+    TENSIONS,
+)
+"""Three readings, the second of which comes while the cables are longer than commanded."""
+
+
 def test_rows_with_offset_cables_are_left_out(tmp_path):
-    longer = [1e-5] * 12
-    path = bag(
-        tmp_path / "a.mcap",
-        COMMAND,
-        TENSIONS,
-        ("offsets", LAB.cable_names, longer),
-        TENSIONS,
-        ("offsets", LAB.cable_names, [0.0] * 12),
-        TENSIONS,
-    )
+    path = bag(tmp_path / "a.mcap", COMMAND, *WITH_OFFSETS)
     np.testing.assert_allclose(read_mcap(path, LAB).time_s, [0.0, 0.4])
 
 
@@ -172,20 +173,10 @@ def test_a_fault_is_where_the_message_is_that_has_it(tmp_path, columns):
 
 
 def test_messages_keep_their_numbers_where_rows_are_left_out(tmp_path):
-    longer = [1e-5] * 12
-    path = bag(
-        tmp_path / "a.mcap",
-        TENSIONS,
-        COMMAND,
-        TENSIONS,
-        ("offsets", LAB.cable_names, longer),
-        TENSIONS,
-        ("offsets", LAB.cable_names, [0.0] * 12),
-        TENSIONS,
-    )
-    got = read_mcap(path, LAB)
-    assert got.message.tolist() == [2, 4]
-    assert got.rows(slice(1, None)).where(np.array([True])) == "message 4 of the readings"
+    path = bag(tmp_path / "a.mcap", TENSIONS, COMMAND, *WITH_OFFSETS)
+    recording = read_mcap(path, LAB)
+    assert recording.message.tolist() == [2, 4]
+    assert recording.rows(slice(1, None)).where(np.array([True])) == "message 4 of the readings"
 
 
 def test_a_folder_with_metadata_is_read_too(tmp_path):

@@ -22,9 +22,9 @@ ARRIVAL_NS = 5_000 + 100 * np.arange(6)
     ],
 )
 def test_stamps_count_where_all_messages_have_one(stamp_ns, counts, said):
-    clock_ns, note = one_clock(Path("a.mcap"), ARRIVAL_NS, np.array(stamp_ns))
-    assert clock_ns.tolist() == (stamp_ns if counts == "stamp" else ARRIVAL_NS.tolist())
-    assert bool(note) == said
+    clock = one_clock(Path("a.mcap"), ARRIVAL_NS, np.array(stamp_ns))
+    assert clock.time_ns.tolist() == (stamp_ns if counts == "stamp" else ARRIVAL_NS.tolist())
+    assert bool(clock.notes) == said
 
 
 @pytest.mark.parametrize("first", [0, 1_700_000_000 * 10**9])
