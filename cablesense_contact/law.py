@@ -39,7 +39,9 @@ class LawOutput(NamedTuple):
         fault_n: (B, M) what each channel reads too much if nothing touches and it is wrong, in
             the channel's unit, N or N·m.
         innovation_n: (B, M) reading minus that of the untouched arm, in the channels' units; of a
-            machine whose joints are measured, torques of its joints.
+            machine whose joints are measured, torques of its joints. With `by_parameter` it is
+            about the untouched machine also where fewer channels than joints let each contact
+            have a pose of its own, about which the other derivatives are.
         information_n2: (B, M, M) inverse covariance of innovations.
         by_parameter: (B, M, P) derivative of readings by the parameters.
         by_torque: (B, M, 2N) derivative of readings by contact torques.

@@ -56,7 +56,7 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     way = LastWay()
     end = 0
     for stretches in _stays(recording):
-        found: list[_Hold] = []
+        stay_holds: list[_Hold] = []
         too_short: list[NDArray[np.int64]] = []
         for stretch in stretches:
             has_gap = stretch.start != end
@@ -66,14 +66,14 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
             end = stretch.stop
             rows = _settled(recording, stretch)
             if len(rows) >= FEWEST_READINGS:
-                found.append(_Hold(rows, way.came_from_rad))
+                stay_holds.append(_Hold(rows, way.came_from_rad))
             else:
                 too_short.append(rows)
         together = np.concatenate(too_short) if too_short else np.zeros(0, dtype=np.int64)
         if len(together) >= FEWEST_READINGS:
-            found.append(_Hold(together, None))
-        found.sort(key=lambda hold: int(hold.rows[-1]))
-        holds += [_mean_of(recording, hold, ended_ns) for hold in found]
+            stay_holds.append(_Hold(together, None))
+        stay_holds.sort(key=lambda hold: int(hold.rows[-1]))
+        holds += [_mean_of(recording, hold, ended_ns) for hold in stay_holds]
     if not holds:
         raise RecordingError(
             f"{recording.name}: the arm never rests unloaded (load_segment 0) at one command for "

@@ -129,7 +129,11 @@ class SoftContacts:
         self._largest_n = observer.machine.source.file.touch.largest_n
 
     def answer(self, reading: Reading) -> SoftAnswer:
-        """What a reading says of the machine."""
+        """What a reading says of the machine.
+
+        Raises:
+            MachineError: the untouched machine finds no rest at the command.
+        """
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
         untouched = self._explained(self._about(untouched_pose, reading))
         explanations = [untouched, *self._from_starts(untouched, reading)]

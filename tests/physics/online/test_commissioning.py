@@ -258,6 +258,17 @@ def test_a_wrong_channel_stops_it(lab, built):
     assert "not those of the untouched arm" in bench.commissioning.problem
 
 
+def test_what_it_computes_itself_is_no_silence(lab, built):
+    """Whoever calls it had no time to give it readings; a silence after that still ends it."""
+    bench = commissioned(lab, built, count=6, silent_after_s=1.0, joint_speed_rad_s=0.02)
+    bench.run(lambda c: c.stage is Stage.ARRIVING)
+    bench.now_ns += 3 * NS
+    bench.commissioning.advance(bench.now_ns)
+    assert not bench.commissioning.over
+    assert bench.run(over, silent=True) == pytest.approx(1.0, abs=0.2)
+    assert bench.commissioning.problem.startswith("no reading for 1.")
+
+
 def test_silence_stops_it_on_the_way(lab, built):
     bench = commissioned(lab, built, count=6, silent_after_s=1.0, joint_speed_rad_s=0.02)
     bench.run(lambda c: c.stage is Stage.ARRIVING)
