@@ -332,7 +332,8 @@ def _share_of_leap(position: Array, trial: NDArray[np.int64]) -> Array:
     """(R,) how far off the motion of a joint (R,) a row is, as a share of a leap."""
     off = _off_the_motion(position, trial)
     peak = _peaks(off)
-    usual = float(np.percentile(off[peak], _OFF_PERCENT)) if peak.any() else 0.0
+    # of few peaks the largest may be the leap itself, which says nothing of what is usual
+    usual = float(np.percentile(off[peak], _OFF_PERCENT, method="lower")) if peak.any() else 0.0
     least = max(_MOST_OFF * usual, _LEAST_OFF * float(np.ptp(position)))
     return off / least if least > 0.0 else off
 

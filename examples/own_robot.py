@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from cablesense_base.installation import config_path
+from cablesense_gap.report.text import headline
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
@@ -54,10 +55,10 @@ def record(model_file: Path, recording: Path) -> None:
 
 
 def main(model_file: Path, recording: Path) -> None:
-    """Print the effects that explain the gap, with their values and probability."""
+    """Print which effects explain the gap, with their values."""
     robot = load_robot(model_file)
     verdict = diagnose(read_robot_recording(recording, robot), robot).verdict
-    print("effects:", ", ".join(verdict.effects), f"({verdict.probability:.0%})")
+    print(headline(verdict))
     for parameter, value in verdict.parameters.items():
         print(f"  {parameter}: {value.value:.3g} {value.unit}")
     removed = verdict.gap.removed_fraction

@@ -32,10 +32,13 @@ def test_a_model_for_an_own_arm_estimates_a_push(tmp_path, capsys):
 @pytest.mark.slow
 def test_friction_of_an_own_robot_is_found(tmp_path, capsys):
     own_robot.main(*own_robot.planted(tmp_path))
-    said = capsys.readouterr().out
-    assert "effects: joint_friction (" in said
-    friction_text = re.search(r"torque_n_m: (\S+) N·m", said)[1]
+    printed = capsys.readouterr().out
+    friction_text = re.search(r"torque_n_m: (\S+) N·m", printed)[1]
     assert float(friction_text) == pytest.approx(own_robot.FRICTION_N_M[1], rel=0.05)
+    headline = printed.splitlines()[0]
+    for page in ("README.md", "docs/robot.md"):
+        text = (CHECKOUT / page).read_text(encoding="utf-8")
+        assert headline in text.replace("\n> ", " "), page
 
 
 def test_a_step_backs_off_above_the_threshold_and_up_to_the_limit():
