@@ -1,14 +1,13 @@
 """Everything for a live arm that needs no ROS: estimation, CAN, sensors, control, replay.
 
-Programs that estimate contacts import these short names:
+Programs that have readings as arrays begin with a machine and how well it is known:
 
-    from cablesense_online import Estimation, EstimationSettings, load_model
+    from cablesense_online import KnownMachine
 
-    loaded = load_model("cdsm", "")
-    settings = EstimationSettings(contact_threshold=0.5, ...)
-    contacts = loaded.contacts(settings)
-    estimation = Estimation(loaded.machine, contacts, settings, time.monotonic())
-    answer = estimation.sample(serialized_joint_state, time.time_ns(), time.monotonic())
+    arm = KnownMachine.load("my_arm.yaml", "my_arm.onnx").tared(untouched_n, command_rad)
+    touch = arm.touch(reading_n, command_rad)
+
+`Estimation` is what the estimator node does with messages, over time.
 
 A name is imported when it is first used, so that `import cablesense_online` itself costs nothing.
 """

@@ -2,6 +2,8 @@
 
 from .answer import Answer as Answer
 from .estimation import Estimation as Estimation
+from .known_machine import KnownMachine as KnownMachine
+from .known_machine import Touch as Touch
 from .models import LoadedModel as LoadedModel
 from .models import load_model as load_model
 from .replay import Comparison as Comparison

@@ -12,10 +12,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cablesense_contact import LawModel, find_model
-from cablesense_contact.calibration import Calibrator, Unloaded
-from cablesense_contact.felt_arm import FeltArm
-from cablesense_contact.judgement import ContactState, Judge
+from cablesense_contact import ContactState
+from cablesense_online import KnownMachine
 from cablesense_recording import Recording, read_recording
 from cablesense_recording.csv_file import write_csv
 from cablesense_sim import (
@@ -27,9 +25,8 @@ from cablesense_sim import (
 )
 
 CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
-# names, or the paths of your files
-ARM = "cdsm"
-MODEL = "cdsm_anywhere"
+ARM = "cdsm"  # a name, or the path of an arm file
+MODEL = ""  # the one of a bundled arm, or the path of a model file
 TARE_ROWS = 20  # at the start, where nothing touches the arm
 
 arm = open_arm(ARM)
@@ -63,25 +60,17 @@ if not CSV.exists():
 
 # %%
 rows = read_recording(CSV, arm)
-law = LawModel(find_model(MODEL), arm)
-calibrator = Calibrator(FeltArm(arm), law)
-baseline_n = rows.tensions_n[:TARE_ROWS].mean(axis=0)
-tare = Unloaded(baseline_n, rows.command_rad[0], TARE_ROWS)
-known = calibrator.updated(calibrator.by_tolerances(), tare)
+known = KnownMachine.load(ARM, MODEL)
+known = known.tared(rows.tensions_n[:TARE_ROWS], rows.command_rad[0])
 
-still = np.zeros((arm.joint_count, arm.joint_count))
-posterior = law(rows.tensions_n, rows.command_rad, known.mean, known.covariance, still)
-judge = Judge(FeltArm(arm))
-judgements = [judge(posterior.row(k), rows.tensions_n[k]) for k in range(len(rows))]
-touched = np.array([each.state is not ContactState.FREE for each in judgements])
-force_n = np.where(touched, np.hypot(*posterior.force_n[:, 1:].T), 0.0)
-low_n, high_n = np.where(touched, posterior.magnitude_ci95_n.T, 0.0)
+touches = known.touches(rows.tensions_n, rows.command_rad)
+is_touched = np.array([touch.state is not ContactState.FREE for touch in touches])
+force_n = np.where(is_touched, [touch.magnitude_n for touch in touches], 0.0)
+intervals_n = np.array([touch.magnitude_ci95_n for touch in touches])
+low_n, high_n = np.where(is_touched, intervals_n.T, 0.0)
 
 for row in range(0, len(rows), 20):
-    said = judgements[row].state.value
-    if touched[row]:
-        said += f", segment {judgements[row].segment}"
-    print(f"{rows.time_s[row]:5.1f} s  {said:20}  {force_n[row]:6.2f} N")
+    print(f"{rows.time_s[row]:5.1f} s  {touches[row]}")
 
 # %%
 figure, axes = plt.subplots(figsize=(8.0, 3.5), layout="constrained")

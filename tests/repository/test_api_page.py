@@ -29,8 +29,10 @@ def test_the_example_estimates_the_push_and_finds_the_payload(tmp_path, monkeypa
     values: dict = {}
     exec(compile(example, "docs/api.md", "exec"), values)
     verdict = values["found"].verdict
-    assert values["judged"].segment == 3
-    assert values["angle_deg"] == pytest.approx(215.0, abs=0.5)
-    assert values["magnitude_n"] == pytest.approx(40.0, abs=0.5)
+    touch = values["touch"]
+    assert touch.link == "segment_3"
+    assert touch.angle_deg == pytest.approx(215.0, abs=0.5)
+    assert touch.magnitude_n == pytest.approx(40.0, abs=0.5)
+    assert f"print(touch)  # {touch}\n" in PAGE
     assert verdict.effects == ("payload",)
     assert verdict.gap.removed_fraction > 0.9

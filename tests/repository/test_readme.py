@@ -3,8 +3,8 @@
 import re
 
 import numpy as np
+import pytest
 
-import cablesense_contact
 from cablesense_sim import mechanism_of, normal_force_n, open_arm, solve_equilibrium
 from tests.helpers.checkout import CHECKOUT
 
@@ -20,16 +20,9 @@ def test_the_example_of_the_readme_estimates_a_push():
         mechanism, [command_rad, command_rad], loads_n
     ).tensions_n
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    values = {
-        **{name: getattr(cablesense_contact, name) for name in cablesense_contact.__all__},
-        "np": np,
-        "open_arm": open_arm,
-        "untouched_n": untouched_n,
-        "reading_n": reading_n,
-        "command_rad": command_rad,
-    }
+    values = {"untouched_n": untouched_n, "reading_n": reading_n, "command_rad": command_rad}
     exec(compile(example, "README.md", "exec"), values)
-    judgement = values["judgement"]
-    assert (judgement.state.value, judgement.segment) == ("contact", 3)
-    _, y_n, z_n = values["posterior"].force_n[0]
-    assert abs(np.hypot(y_n, z_n) - 20.0) < 1.0
+    touch = values["touch"]
+    assert touch.link == "segment_3"
+    assert touch.magnitude_n == pytest.approx(20.0, abs=1.0)
+    assert f"# {touch}\n" in example
