@@ -75,6 +75,7 @@ class Observation(NamedTuple):
             that these have at the command, and their slopes along the links' axes.
         torsion: (N, 1, n) of unit moments about the links' axes.
         pose: (n,).
+        load_slope: (n, n) derivative of the machine's forces there, at constant tensions.
         is_slack: whether a tendon that is read may be slack, with too few others to fix the pose:
             a larger force reads the same.
     """
@@ -88,7 +89,21 @@ class Observation(NamedTuple):
     levers: Array
     torsion: Array
     pose: Array
+    load_slope: Array
     is_slack: np.bool_
+
+
+class AboutPose(NamedTuple):
+    """Where an observation is to be linear.
+
+    Attributes:
+        pose: (n,).
+        load_slope: (n, n) derivative of the forces there, at constant tensions; None if it is to
+            be found out.
+    """
+
+    pose: Array
+    load_slope: Array | None = None
 
 
 class _Known(NamedTuple):
@@ -169,7 +184,7 @@ class Observer:
         mean: Array,
         covariance: Array,
         unrest: Array,
-        near: Array | None = None,
+        about: AboutPose | None = None,
     ) -> Observation:
         """The observation in a reading (M,) at a command (C,), or at measured joint positions.
 
@@ -179,18 +194,18 @@ class Observer:
             mean: (P,) and
             covariance: (P, P) of the parameters.
             unrest: (n, n) covariance of forces by motion.
-            near: (n,) a pose to be linear about; by default the one that explains the reading.
+            about: where to be linear; by default in the pose that explains the reading.
         """
         known = self._known(command, mean)
         moving = unrest + np.diag(self._friction_variance)
         if self.machine.is_measured:
             return self._of_pose(known, reading, command, covariance, moving)
-        seen = self._of_tensions(known, reading, covariance, moving, near)
+        seen = self._of_tensions(known, reading, covariance, moving, about)
         if self._friction is None or np.abs(seen.pose - known.pose).max() < _SAME_BENDS:
             return seen
         # tendons bend, and rub, as they do in the pose that the reading shows
         there = self._rubbing(command, mean, seen.pose)
-        return self._of_tensions(there, reading, covariance, moving, near)
+        return self._of_tensions(there, reading, covariance, moving, about)
 
     def command_of(self, pose: Array) -> Array:
         """(C,) the command that holds the machine, as modelled, near a pose (n,)."""
@@ -218,8 +233,12 @@ class Observer:
         """(n,) where nothing touches the machine."""
         return self._known(command, mean).pose
 
-    def pose_under(self, contact: LinkForce, command: Array, mean: Array, near: Array) -> Array:
+    def pose_under(
+        self, contact: LinkForce, command: Array, mean: Array, near: Observation
+    ) -> Array:
         """(n,) the machine at rest under a contact, whose force is in the link's stated axes.
+
+        It is sought from the pose of another observation on.
 
         Raises:
             MachineError: it finds no rest.
@@ -227,7 +246,8 @@ class Observer:
         known = self._known(command, mean)
         in_base = known.frames.axes[contact.link] @ contact.force_n
         force = replace(contact, force_n=in_base)
-        pose, _ = known.built.statics.rest(known.unstretched_m, (force,), near)
+        statics = known.built.statics
+        pose, _ = statics.rest(known.unstretched_m, (force,), near.pose, near.load_slope)
         return pose
 
     def _known(self, command: Array, mean: Array) -> _Known:
@@ -317,15 +337,24 @@ class Observer:
         return self._built[key]
 
     def _of_tensions(
-        self, known: _Known, reading: Array, covariance: Array, moving: Array, near: Array | None
+        self,
+        known: _Known,
+        reading: Array,
+        covariance: Array,
+        moving: Array,
+        about: AboutPose | None,
     ) -> Observation:
         built = known.built
         statics = built.statics
         read = self.machine.channels.tendon
         tension = (reading - built.zero) / built.gain
-        pose = self._pose_of(known, tension, covariance) if near is None else near
+        if about is None:
+            about = AboutPose(self._pose_of(known, tension, covariance))
+        pose = about.pose
         load_slope = known.load_slope
-        if len(read) < len(pose):
+        if about.load_slope is not None:
+            load_slope = about.load_slope
+        elif len(read) < len(pose):
             # where tensions do not determine the pose, how forces depend on it matters
             balance = statics.at(pose)
             tensions_n = statics.tensions_n(balance.length_m, known.unstretched_m)
@@ -357,6 +386,7 @@ class Observer:
             levers=levers,
             torsion=torsion,
             pose=pose,
+            load_slope=load_slope,
             is_slack=np.bool_(is_taut.sum() < min(len(is_taut), len(pose))),
         )
 
@@ -502,6 +532,7 @@ class Observer:
             levers=levers,
             torsion=torsion,
             pose=pose,
+            load_slope=slope,
             is_slack=np.False_,
         )
 

@@ -3,7 +3,9 @@
 A soft machine gives way under a contact, and how far it does depends on which contact it is. So
 what a reading says of a contact is taken linear about the machine at rest under that contact, and
 what it says of an untouched machine about the untouched one. Contacts are sought from several
-links, as from a wrong one Newton's steps may lead to another that explains the reading worse.
+links, as from a wrong one Newton's steps may lead to another that explains the reading worse. On
+the search the slope of the machine's forces is that of the untouched one; what is stated has its
+own.
 
 Evidence is against "nothing touches". Observations x about a touched machine have the covariance
 S, those about the untouched one, x_0, the covariance S_0; evidence e of the former becomes
@@ -21,7 +23,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.machine.observation import Observation, Observer
+from cablesense_contact.machine.observation import AboutPose, Observation, Observer
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.statics import LinkForce
 
@@ -135,7 +137,7 @@ class SoftContacts:
             MachineError: the untouched machine finds no rest at the command.
         """
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
-        untouched = self._explained(self._about(untouched_pose, reading))
+        untouched = self._explained(self._observed(AboutPose(untouched_pose), reading))
         explanations = [untouched, *self._from_starts(untouched, reading)]
         best = max(explanations, key=_strength)
         for refined in self._refinements(best, untouched, reading):
@@ -152,30 +154,31 @@ class SoftContacts:
         return SoftAnswer(best.observation, untouched.observation, stated)
 
     def _from_starts(self, untouched: Explained, reading: Reading) -> Iterator[Explained]:
-        """About the rests under forces in the middle of some links, each the best there."""
+        """Roughly about the rests under the best forces in the middle of some links."""
+        slope = untouched.observation.load_slope
         for link in self._starts:
             seen = untouched.observation
             for _ in range(_STEPS_OF_A_START):
-                under = self._under(self._contact_on(link, seen), seen.pose, reading)
-                if under is None:
+                about = self._under(self._contact_on(link, seen), seen, reading)
+                if about is None:
                     break
-                seen = under
+                seen = self._observed(about._replace(load_slope=slope), reading)
             if seen is not untouched.observation:
                 yield _against(untouched, self._explained(seen))
 
     def _refinements(
         self, start: Explained, untouched: Explained, reading: Reading
     ) -> Iterator[Explained]:
-        """About the rests under ever likelier contacts, from that of an explanation on."""
+        """About the rests under ever likelier contacts, from that of a rough explanation on."""
         best = start
-        for _ in range(_REFINEMENTS):
+        for number in range(_REFINEMENTS):
             if _strength(best) <= 0.0:
                 return
-            under = self._under(best.likeliest, best.observation.pose, reading)
-            if under is None:
+            about = self._under(best.likeliest, best.observation, reading)
+            if about is None:
                 return
-            refined = _against(untouched, self._explained(under))
-            if _strength(refined) <= _strength(best):
+            refined = _against(untouched, self._explained(self._observed(about, reading)))
+            if number > 0 and _strength(refined) <= _strength(best):
                 return
             best = refined
             yield best
@@ -184,19 +187,24 @@ class SoftContacts:
         """An observation with the statement on it."""
         return Explained(seen, self._state([seen]))
 
-    def _about(self, pose: Array, reading: Reading) -> Observation:
-        """The observation in a reading about a pose (n,)."""
+    def _observed(self, about: AboutPose, reading: Reading) -> Observation:
+        """The observation in a reading, linear about a pose."""
         return self._observer.observe(
-            reading.values, reading.command, reading.mean, reading.covariance, reading.unrest, pose
+            reading.values,
+            reading.command,
+            reading.mean,
+            reading.covariance,
+            reading.unrest,
+            about,
         )
 
-    def _under(self, contact: LinkForce, near: Array, reading: Reading) -> Observation | None:
-        """About the rest under a contact; None if the machine does not bear it."""
+    def _under(self, contact: LinkForce, near: Observation, reading: Reading) -> AboutPose | None:
+        """The rest under a contact, near another pose; None if the machine does not bear it."""
         try:
             pose = self._observer.pose_under(contact, reading.command, reading.mean, near)
         except MachineError:
             return None
-        return self._about(pose, reading)
+        return AboutPose(pose)
 
     def _contact_on(self, link: int, seen: Observation) -> LinkForce:
         """The force across the middle of a link that explains an observation best."""

@@ -264,14 +264,19 @@ class MachineStatics:
         return np.asarray(swing @ swing.T + np.diag(damping**2))
 
     def rest(
-        self, unstretched_m: Array, forces: Sequence[LinkForce], start: Array
+        self,
+        unstretched_m: Array,
+        forces: Sequence[LinkForce],
+        start: Array,
+        load_slope: Array | None = None,
     ) -> tuple[Array, Array]:
         """Where the machine comes to rest under forces, from a pose (n,) on, and tensions (K,).
 
         Newton's steps r - H⁻¹ F, shortened until the potential energy falls, which is least at
         rest, and of which F is the steepest descent. The force along a step may grow: where H is
         not definite, the machine is on its way from another rest. The part of H at constant
-        tensions is used again as long as it leads on quickly.
+        tensions is used again as long as it leads on quickly; `load_slope` (n, n) is what it is
+        near the start, where that is known.
 
         Raises:
             MachineError: it finds no rest: the forces are larger than it can bear, or nothing
@@ -279,8 +284,10 @@ class MachineStatics:
         """
         acting = [self._acting(force) for force in forces]
         here = self._state(start.copy(), unstretched_m, acting)
-        constant = self._slope_at(here.pose, here.tensions_n, acting)
-        is_fresh = True
+        is_fresh = load_slope is None
+        constant = load_slope
+        if constant is None:
+            constant = self._slope_at(here.pose, here.tensions_n, acting)
         for _ in range(_MOST_STEPS):
             step = self._compliance(here, constant) @ here.residual
             length = float(np.abs(step).max())
