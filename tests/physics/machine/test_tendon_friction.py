@@ -13,7 +13,7 @@ from cablesense_base import Array
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
-from cablesense_contact.machine.observation import Observer
+from cablesense_contact.machine.observation import AboutPose, Observer
 from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.slides import Belief
 from cablesense_online.machine_simulation import MachineSimulation
@@ -283,13 +283,16 @@ def test_derivatives_by_what_is_carried(tmp_path: Path) -> None:
     unrest = np.zeros((len(command), len(command)))
     reading = as_described(machine).untouched(command).values
     seen = observer.observe(reading, command, mean, covariance, unrest)
+    there = AboutPose(seen.pose)
     step = 1e-4
     for number in np.arange(part.start, part.stop)[exists]:
         ends = []
         for way in (-step, step):
             moved = mean.copy()
             moved[number] += way
-            observed = observer.observe(reading, command, moved, covariance, unrest, seen.pose)
+            observed = observer.observe(
+                reading, command, moved, covariance, unrest, AboutPose(seen.pose)
+            )
             ends.append(observed.innovation)
         slope = (ends[0] - ends[1]) / (2.0 * step)
         assert_allclose(seen.by_parameter[:, number], slope, rtol=0.03, atol=0.5)
