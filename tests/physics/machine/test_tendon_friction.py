@@ -290,9 +290,7 @@ def test_derivatives_by_what_is_carried(tmp_path: Path) -> None:
         for way in (-step, step):
             moved = mean.copy()
             moved[number] += way
-            observed = observer.observe(
-                reading, command, moved, covariance, unrest, AboutPose(seen.pose)
-            )
+            observed = observer.observe(reading, command, moved, covariance, unrest, there)
             ends.append(observed.innovation)
         slope = (ends[0] - ends[1]) / (2.0 * step)
         assert_allclose(seen.by_parameter[:, number], slope, rtol=0.03, atol=0.5)
