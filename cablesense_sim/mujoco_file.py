@@ -141,13 +141,18 @@ class JointTie:
     def followed(self, leading: Array) -> Array:
         """The joint's positions by those of its leader, of the same shape."""
         away = leading - self.reference[1]
-        return np.asarray(self.reference[0] + np.polynomial.polynomial.polyval(away, self.curve))
+        position = np.zeros_like(away)
+        for coefficient in reversed(self.curve):  # Horner's rule; it is asked for at each pose
+            position = position * away + coefficient
+        return np.asarray(self.reference[0] + position)
 
     def slope(self, leading: float) -> float:
         """Derivative of the joint's position by its leader's."""
-        by_leader = np.polynomial.polynomial.polyder(self.curve)
         away = leading - self.reference[1]
-        return float(np.polynomial.polynomial.polyval(away, by_leader))
+        slope = 0.0
+        for power in range(len(self.curve) - 1, 0, -1):
+            slope = slope * away + power * self.curve[power]
+        return slope
 
 
 def joint_ties(model: mujoco.MjModel) -> list[JointTie]:

@@ -135,7 +135,10 @@ class ParameterSources:
         )
         of_tensions[tendon_numbers, tendon_numbers + pretension.start] = taut / built.stretch
         of_tensions[tendon_numbers, tendon_numbers + carried.start] = -tensions_n
-        of_forces[:, moments] = -np.kron(tensions_n, np.eye(count))
+        # F = ... - Σ_k T_k J_k: each moment enters one force
+        coordinates = np.arange(count)
+        of_moments = moments.start + count * tendon_numbers[:, None] + coordinates
+        of_forces[coordinates, of_moments] = -tensions_n[:, None]
         of_forces[:, weights] = np.eye(count)
         of_forces[:, springs] = self._by_springs(pose)
         return Sensitivity(of_tensions, of_forces)

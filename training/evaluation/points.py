@@ -19,9 +19,12 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
+from cablesense_contact.judgement import largest_chi2
 from cablesense_contact.law import Law, LawOutput
 from cablesense_training.evaluation.metrics import ContactAnswer
 
+_CONTACT_NUMBERS = 2
+"""Numbers that a contact at a point fits."""
 _ROWS_AT_ONCE = 256
 """In one call of the law: they fit the memory of a laptop."""
 
@@ -33,11 +36,13 @@ class PointContacts(NamedTuple):
         force_n: (B, N, 2) along y and z of the segment at the command.
         covariance_n2: (B, N, 2, 2).
         log_evidence: (B, N) against no contact.
+        chi2: (B, N) what each leaves unexplained: the normalised innovation squared.
     """
 
     force_n: Array
     covariance_n2: Array
     log_evidence: Array
+    chi2: Array
 
 
 def at_points(seen: LawOutput, points_m: Array, largest_n: float) -> PointContacts:
@@ -54,7 +59,10 @@ def at_points(seen: LawOutput, points_m: Array, largest_n: float) -> PointContac
     explained = (force * pull[..., 0]).sum(axis=2)
     log_width = 0.5 * np.log(np.linalg.det(covariance))
     occam = log_width + np.log(2.0) - 2.0 * np.log(largest_n)
-    return PointContacts(force, covariance, 0.5 * explained + occam)
+    innovation = seen.innovation_n[:, None, :]
+    untouched = (innovation @ seen.information_n2 @ np.swapaxes(innovation, 1, 2))[:, 0]
+    chi2 = untouched - explained
+    return PointContacts(force, covariance, 0.5 * explained + occam, chi2)
 
 
 def point_answer(
@@ -67,6 +75,8 @@ def point_answer(
 ) -> ContactAnswer:
     """The likeliest contact behind readings (B, M) at commands (B, 2N), or none.
 
+    A reading that no contact explains, as of a joint two of whose cables are slack, is answered
+    with none.
     Contacts are at points (N,) from the joint centres, and as strong as `largest_n` at most. What
     is `known` of the arm is the same for all.
     """
@@ -79,13 +89,16 @@ def point_answer(
     contacts = PointContacts._make(np.concatenate(column) for column in zip(*parts, strict=True))
     samples = np.arange(len(contacts.force_n))
     best = contacts.log_evidence.argmax(axis=1)
+    is_likely = contacts.log_evidence[samples, best] > 0.0
+    most_chi2 = largest_chi2(readings_n.shape[1] - _CONTACT_NUMBERS)
+    is_explained = contacts.chi2[samples, best] <= most_chi2
     force = contacts.force_n[samples, best]
     covariance = contacts.covariance_n2[samples, best]
     size_n = np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-9)
     along = force / size_n[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return ContactAnswer(
-        segment=np.where(contacts.log_evidence[samples, best] > 0.0, best + 1, 0),
+        segment=np.where(is_likely & is_explained, best + 1, 0),
         angle_deg=np.rad2deg(np.arctan2(force[:, 0], force[:, 1])) % 360.0,
         magnitude_n=size_n,
         magnitude_std_n=_std(along, covariance),
