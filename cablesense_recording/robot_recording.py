@@ -81,7 +81,8 @@ class RobotRecording:
         torque: (R, J) of the drives at the joints, N·m or N, but for currents whose factor is
             unknown; NaN for joints without.
         command: (R, A) of the actuators' inputs; NaN for those without.
-        notes: what was read, what was changed, and what is odd, as sentences.
+        notes: what was read, and what was changed, as sentences.
+        warnings: what looks wrong, as sentences.
         efforts: (J,) what the torques were recorded as; torques where it is empty.
         trial_labels: (T,) what the files call each trial, as of `trial_label`.
     """
@@ -93,6 +94,7 @@ class RobotRecording:
     torque: Array
     command: Array
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     efforts: tuple[Effort, ...] = ()
     trial_labels: tuple[TrialLabel, ...] = ()
 
@@ -131,6 +133,7 @@ class _Part:
         first_row: number of the first row that is used, from 1.
         columns: time_s (R,), trial (R,), position (R, J), torque (R, J), command (R, A).
         notes: what was changed, as sentences.
+        warnings: what looks wrong, as sentences.
         stated_trial: (R,) the file's own numbers of trials, where it has some.
     """
 
@@ -138,6 +141,7 @@ class _Part:
     first_row: int
     columns: _Columns
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     stated_trial: Array | None
 
     @property
@@ -186,18 +190,20 @@ def read_by_channels(
         tables[file], sentences = with_positions(file, table, channels, kinematics)
         notes += sentences
     parts = [_part(file, table, channels, bag) for file, table in tables.items()]
+    warnings: list[str] = []
     for part in parts:
         notes += part.notes
+        warnings += part.warnings
     trial, note = _trials(parts)
     every = _joined(parts)
     every[TRIAL] = trial.astype(np.float64)
-    notes += _check_units(path, channels, every, force=force)
+    warnings += _check_units(path, channels, every, force=force)
     constant = [
         number
         for number in constant_channels(channels.labels(Kind.TORQUE), every["torque"])
         if channels.driven[number] or every["torque"][0, number] != 0.0
     ]
-    notes += [
+    warnings += [
         f"{channels.labels(Kind.TORQUE)[number]} is {every['torque'][0, number]:g} in every row, "
         "whatever moves, so it is not compared; see whether its sensor is connected."
         for number in constant
@@ -208,14 +214,14 @@ def read_by_channels(
         if refusals:
             more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
             raise RecordingError(f"{part.path}: {refusals[0]}{more}, or continue with --force")
-        notes += [f"{each.text}." for each in findings]
+        warnings += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
     measured = np.flatnonzero(np.isfinite(torque).any(axis=0)).tolist()
     of_measured = [channels.efforts[joint] for joint in measured]
     notes += effort_sentences(of_measured, [channels.joint_names[joint] for joint in measured])
     if not np.isfinite(torque).any():
-        notes += _constant_commands(channels, every["command"])
+        warnings += _constant_commands(channels, every["command"])
     return RobotRecording(
         name=plain_name(path.name) if path.is_dir() else csv_stem(path),
         time_s=every[TIME],
@@ -224,6 +230,7 @@ def read_by_channels(
         torque=in_known_units(torque, channels.efforts),
         command=every["command"],
         notes=(*notes, note),
+        warnings=tuple(warnings),
         efforts=channels.efforts,
         trial_labels=tuple(_trial_labels(parts, trial)),
     )
@@ -340,8 +347,8 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     if numbered:
         notes += _returning(table[TRIAL][used], trial)
     position = _stacked(table, channels.labels(Kind.POSITION), used)
-    leap, sentences = _leaps(path, channels, time_s, trial, position, first_row)
-    notes += sentences
+    leap, parted, warnings = _leaps(path, channels, time_s, trial, position, first_row)
+    notes += parted
     by_number = trial + np.cumsum(leap)
     trial = by_number if numbered else _by_pauses(time_s, position, leap)
     columns = {
@@ -356,6 +363,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         first_row=first_row,
         columns=columns,
         notes=tuple(notes),
+        warnings=tuple(warnings),
         stated_trial=table[TRIAL][used] if numbered else None,
     )
 
@@ -413,13 +421,14 @@ def _leaps(
     trial: NDArray[np.int64],
     position: Array,
     first_row: int,
-) -> tuple[NDArray[np.bool_], list[str]]:
-    """(R,) the rows at which time or a position (R, J) leaps, and what is said of them.
+) -> tuple[NDArray[np.bool_], list[str], list[str]]:
+    """(R,) the rows at which time or a position (R, J) leaps, notes on them, and warnings.
 
     Raises:
         RecordingError: times are uneven, or positions leap back and forth.
     """
     notes: list[str] = []
+    warnings: list[str] = []
     leap = leaps(time_s, trial)
     if leap.any():
         notes.append(parted_sentence(time_s, leap, first_row))
@@ -431,12 +440,12 @@ def _leaps(
         for finding in leaps_and_returns(channel, joint_position, parted, first_row):
             if finding.refuses:
                 raise RecordingError(f"{path}: {finding.text}")
-            notes.append(f"{finding.text}.")
+            warnings.append(f"{finding.text}.")
     jump = position_leaps(position, parted)
     if jump.any():
         labels = channels.labels(Kind.POSITION)
         notes.append(leap_sentence(labels, position, jump, first_row))
-    return leap | jump, notes
+    return leap | jump, notes, warnings
 
 
 def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
@@ -579,8 +588,8 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
 def _check_units(
     path: Path, channels: RobotChannels, every: Mapping[str, Array], *, force: bool
 ) -> list[str]:
-    """Milliseconds, degrees, and a robot that does not move; what `force` lets pass, as notes."""
-    notes = []
+    """Warnings of what `force` lets pass; milliseconds and a robot at rest are refused."""
+    warnings = []
     interval = np.diff(every[TIME])
     within = np.diff(every[TRIAL]) == 0
     position = every["position"]
@@ -599,11 +608,11 @@ def _check_units(
         text = f"positions reach {largest:.4g}; they must be in rad (degrees given?)"
         if not force:
             raise RecordingError(f"{path}: {text}; if they are, continue with --force")
-        notes.append(f"{text[0].upper()}{text[1:]}.")
+        warnings.append(f"{text[0].upper()}{text[1:]}.")
     moved = np.ptp(position, axis=0)
     if moved.max(initial=0.0) <= 0.0:
         raise RecordingError(f"{path}: no joint moves; a recording of motion is right")
-    return notes
+    return warnings
 
 
 def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iterator[Finding]:

@@ -148,10 +148,11 @@ def diagnose(
         with resumable(out, inputs, settings, console) as kept, _diagnosis_progress() as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
-            of_reference = () if healthy is None else healthy.notes
-            notes = (*recorded.notes, *(f"Reference: {note}" for note in of_reference))
-            for note in notes:  # before the minutes that a fit may take
-                console.print(note, soft_wrap=True, markup=False, highlight=False)
+            said = (*recorded.notes, *recorded.warnings)
+            of_reference = () if healthy is None else (*healthy.notes, *healthy.warnings)
+            # before the minutes that a fit may take
+            for sentence in (*said, *(f"Reference: {each}" for each in of_reference)):
+                console.print(sentence, soft_wrap=True, markup=False, highlight=False)
             diagnosis = make(
                 recorded,
                 robot,
@@ -170,9 +171,10 @@ def diagnose(
         given = Given(str(recording), str(model), str(out), external=positions == "external")
         write_robot_diagnosis(out, diagnosis, given)
         verdict = diagnosis.verdict
-        findings = [text for text in diagnosis.findings if text not in recorded.notes]
+        sentences = (*diagnosis.warnings, *diagnosis.notes)
+        more = [sentence for sentence in sentences if sentence not in said]
         earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
-        lines = [*findings, headline(verdict), *earlier]
+        lines = [*more, headline(verdict), *earlier]
         lines += [line for line in (coverage_sentence(verdict), *verdict.doubts) if line]
         lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
@@ -312,7 +314,11 @@ def predict(
         sizes = ", ".join(
             f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in gaps
         )
-        lines = [f"{system.compared} Gap, of the measured values (RMS): {sizes}", *recorded.notes]
+        lines = [
+            f"{system.compared} Gap, of the measured values (RMS): {sizes}",
+            *recorded.notes,
+            *recorded.warnings,
+        ]
     if json_output:
         print_json({"out": str(out), **figures})
         return
