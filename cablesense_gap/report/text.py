@@ -20,6 +20,7 @@ from cablesense_gap.verdict import (
     DECIDING_ERROR,
     NONE,
     UNKNOWN,
+    CandidateResult,
     Earlier,
     EstimatorErrors,
     FittedNumber,
@@ -423,9 +424,22 @@ def _at(places: tuple[str, ...]) -> str:
     return f", {place_text(places)}" if places else ""
 
 
-def candidate_name(effects: tuple[str, ...] | list[str]) -> str:
-    """`payload + base tilt`, as pictures and lists call a candidate."""
-    return " + ".join(name.replace("_", " ") for name in effects)
+def candidate_name(effects: tuple[str, ...] | list[str], *, unlisted: bool = False) -> str:
+    """`payload + base tilt`, as pictures and lists call a candidate.
+
+    Where something `unlisted` acts beside these effects, it is the last of them.
+    """
+    names = [name.replace("_", " ") for name in effects]
+    if unlisted:
+        names.append("something unlisted")
+    return " + ".join(names)
+
+
+def named_candidates(verdict: Verdict) -> list[tuple[str, CandidateResult]]:
+    """All candidates with their names, the most probable first."""
+    return [
+        (candidate_name(each.effects, unlisted=each.unlisted), each) for each in verdict.ranked
+    ]
 
 
 _Kind = Literal["before", "after", "other", "floor"]
@@ -503,6 +517,7 @@ def common_content(verdict: Verdict) -> dict[str, Any]:
         "rivals": rival_names(verdict),
         "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,
+        "candidates": named_candidates(verdict),
         "bars": gap_bars(verdict),
         "removed_by_channel": removed_by_channel(verdict),
         "steps": steps(verdict),

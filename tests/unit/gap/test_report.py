@@ -251,6 +251,15 @@ def test_the_report_has_a_verdict_by_cable(text_of):
     assert "the gap goes from 3.10 N to 2.10 N." in text
 
 
+def test_a_candidate_beside_something_unlisted_has_another_name(text_of):
+    alone, other = PAYLOAD.candidates
+    beside = alone.model_copy(update={"unlisted": True, "probability": 0.05})
+    text = text_of(PAYLOAD.model_copy(update={"candidates": (beside, alone, other)}))
+    listed = text.split("The candidates")[1]
+    assert "payload + something unlisted 1.000" in listed
+    assert "payload 1.000" in listed
+
+
 @pytest.mark.parametrize(
     ("effects", "after_n", "words"),
     [
