@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.coverage import LEAST_COVERED
 from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
@@ -150,13 +149,13 @@ def _kept(verdict: Verdict, names: tuple[str, ...]) -> str:
 def _lacking(verdict: Verdict) -> str:
     """`7 % of shoulder and 12 % of elbow`: the channels that are mostly not covered."""
     assert verdict.reference is not None
-    shares = {name: each.share for name, each in verdict.reference.coverage.items()}
-    channels = [name for name, share in shares.items() if share < LEAST_COVERED]
-    most = percent(max(shares[name] for name in channels))
-    if len(channels) > _MOST_CHANNELS:
-        return f"at most {most} of {len(channels)} channels"
-    texts = [f"{percent(shares[name])} of {_channel(verdict, name)}" for name in channels]
-    return listed(texts)
+    lacking = verdict.reference.lacking
+    if len(lacking) > _MOST_CHANNELS:
+        most = max(each.share for each in lacking.values())
+        return f"at most {percent(most)} of {len(lacking)} channels"
+    return listed(
+        [f"{percent(each.share)} of {_channel(verdict, name)}" for name, each in lacking.items()]
+    )
 
 
 def _channel(verdict: Verdict, name: str) -> str:
