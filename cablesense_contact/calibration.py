@@ -43,10 +43,9 @@ _DETERMINED = 0.5
 MODEL_STD_N = 0.01
 """What a reading differs from the law by for other reasons than its noise: rounding of the last
 digits, temperature, small vibrations."""
-
-
 _SLACK_STD_N = 1e3
-"""Deviation of such a reading: it counts nothing."""
+"""Deviation, N, that the fit gives to the reading of a cable that is nearly slack: it then counts
+for nothing."""
 
 
 class CalibrationError(CableSenseError):
