@@ -18,7 +18,6 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_base.progress import StagedProgress, staged_progress, status
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
-from cablesense_ros.cli.interrupted import resumable
 from cablesense_ros.cli.options import (
     ColumnsOption,
     EffortOption,
@@ -33,6 +32,7 @@ from cablesense_ros.cli.options import (
     print_json,
     refuse_given,
 )
+from cablesense_ros.cli.resumable import resumable
 
 if TYPE_CHECKING:
     from cablesense_gap.adaptation import Adaptation, AdaptedEstimator
