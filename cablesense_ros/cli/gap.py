@@ -92,7 +92,11 @@ def diagnose(
     context: typer.Context,
     recording: RecordingArgument,
     out: Annotated[
-        Path, typer.Option(help="Folder for verdict.json, report.html and amended_arm.yaml.")
+        Path,
+        typer.Option(
+            help="Folder for verdict.json, report.html, and amended_arm.yaml, or with --model "
+            "amended_model.xml and amended_model.json."
+        ),
     ],
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
