@@ -125,8 +125,8 @@ class RobotRecording:
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One file, or one bag, in the order of its rows.
+class _FileRows:
+    """The rows of one file, or one bag, in their order: a part of the recording.
 
     Attributes:
         path: of it.
@@ -189,13 +189,13 @@ def read_by_channels(
     for file, table in tables.items():
         tables[file], sentences = with_positions(file, table, channels, kinematics)
         notes += sentences
-    parts = [_part(file, table, channels, bag) for file, table in tables.items()]
+    parts = [_file_rows(file, table, channels, bag) for file, table in tables.items()]
     warnings: list[str] = []
     for part in parts:
         notes += part.notes
         warnings += part.warnings
     trial, note = _trials(parts)
-    every = _joined(parts)
+    every = _columns_of_all(parts)
     every[TRIAL] = trial.astype(np.float64)
     warnings += _check_units(path, channels, every, force=force)
     constant = [
@@ -209,7 +209,7 @@ def read_by_channels(
         for number in constant
     ]
     for part in parts:
-        findings = list(_dead(channels, part, constant))
+        findings = list(_dead_channels(channels, part, constant))
         refusals = [each.text for each in findings if each.refuses and not force]
         if refusals:
             more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
@@ -246,7 +246,7 @@ def _constant_commands(channels: RobotChannels, command: Array) -> list[str]:
     ]
 
 
-def _joined(parts: Sequence[_Part]) -> _Columns:
+def _columns_of_all(parts: Sequence[_FileRows]) -> _Columns:
     """The columns of all files, one after the other."""
     kinds = parts[0].columns
     return {kind: np.concatenate([part.columns[kind] for part in parts]) for kind in kinds}
@@ -317,8 +317,8 @@ def _with_efforts(
     return of_efforts, labelled
 
 
-def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _Part:
-    """One file as arrays, from the first row on in which all its channels have begun.
+def _file_rows(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _FileRows:
+    """The rows of one file, from the first on in which all its channels have begun.
 
     Raises:
         RecordingError: a column is missing or of another robot, a cell is empty, or time does not
@@ -329,7 +329,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     present = [channel for channel in channels.table if channel.label in table]
     measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
     numbered = any(channel.kind is Kind.TRIAL for channel in measured)
-    begin, end = _begun(table, measured)
+    begin, end = _complete_range(table, measured)
     _refuse_impossible_cells(path, table, measured, begin, end)
     trial = np.zeros(rows, dtype=np.int64)
     if numbered:
@@ -345,7 +345,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     time_s = table[TIME][used]
     trial = trial[used] - trial[begin]
     if numbered:
-        notes += _returning(table[TRIAL][used], trial)
+        notes += _notes_on_returning_trials(table[TRIAL][used], trial)
     position = _stacked(table, channels.labels(Kind.POSITION), used)
     leap, parted, warnings = _leaps(path, channels, time_s, trial, position, first_row)
     notes += parted
@@ -358,7 +358,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         "torque": _stacked(table, channels.labels(Kind.TORQUE), used),
         "command": _stacked(table, channels.labels(Kind.COMMAND), used),
     }
-    return _Part(
+    return _FileRows(
         path=path,
         first_row=first_row,
         columns=columns,
@@ -448,7 +448,7 @@ def _leaps(
     return leap | jump, notes, warnings
 
 
-def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
+def _complete_range(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
     """The first row in which all channels have begun, and the row behind the last of all.
 
     Drives are often enabled after the recorder has started: efforts are missing till then, or 0.
@@ -485,7 +485,7 @@ def _refuse_gaps(path: Path, channel: Channel, values: Array, begin: int, end: i
         )
 
 
-def _returning(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
+def _notes_on_returning_trials(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
     """A sentence if a trial's number comes back after another one."""
     starts = np.append(True, np.diff(trial) != 0)
     values, counts = np.unique(numbers[starts], return_counts=True)
@@ -515,7 +515,7 @@ def _refuse_other_names(path: Path, table: _Columns, channels: RobotChannels) ->
         )
 
 
-def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
+def _trials(parts: Sequence[_FileRows]) -> tuple[NDArray[np.int64], str]:
     """By column, by file, or by pauses; cut into stretches where there are too few."""
     trials: list[NDArray[np.int64]] = []
     begin = 0
@@ -530,7 +530,7 @@ def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
     return trial, f"Trials {how}."
 
 
-def _trial_labels(parts: Sequence[_Part], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
+def _trial_labels(parts: Sequence[_FileRows], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
     """The label of each of the trials (R,) of all parts, as of `RobotRecording.trial_label`."""
     first_row = 0
     for part in parts:
@@ -615,7 +615,9 @@ def _check_units(
     return warnings
 
 
-def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iterator[Finding]:
+def _dead_channels(
+    channels: RobotChannels, part: _FileRows, constant: Sequence[int]
+) -> Iterator[Finding]:
     """Channels that do not follow what they measure; torques that are `constant` are known."""
     positions = channels.labels(Kind.POSITION)
     torques = channels.labels(Kind.TORQUE)
