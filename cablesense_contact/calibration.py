@@ -21,13 +21,19 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_contact.chi_squared import IMPROBABLE, limit_at, probability_above
+from cablesense_contact.chi_squared import limit_at, probability_above
 from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 
 DOUBTED_BELOW = 1e-4
 """Probability, by the χ² of all innovations together, below which the tolerances are doubted."""
+REFUSED_BELOW = 1e-6
+"""Probability, by the χ² of one more reading's innovation, below which that reading is refused.
+
+It is below `DOUBTED_BELOW`, as more is lost: a refused reading leaves an arm without a tare, or
+ends its commissioning, while a doubted calibration is used and says so.
+"""
 _ITERATIONS = 15
 """Of the fit: one that needs more does not converge."""
 _CONVERGED_N = 1e-4
@@ -37,10 +43,9 @@ _DETERMINED = 0.5
 MODEL_STD_N = 0.01
 """What a reading differs from the law by for other reasons than its noise: rounding of the last
 digits, temperature, small vibrations."""
-
-
 _SLACK_STD_N = 1e3
-"""Deviation of such a reading: it counts nothing."""
+"""Deviation, N, that the fit gives to the reading of a cable that is nearly slack: it then counts
+for nothing."""
 
 
 class CalibrationError(CableSenseError):
@@ -184,10 +189,10 @@ class Calibrator:
         # the innovation's χ² is by how much the least sum of squares grows
         misfit = fitted.chi2 - calibration.chi2
         compared = fitted.compared - calibration.compared
-        if probability_above(misfit, compared) < IMPROBABLE and not force:
+        if probability_above(misfit, compared) < REFUSED_BELOW and not force:
             raise CalibrationError(
                 f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
-                f"{compared} numbers, where {limit_at(IMPROBABLE, compared):.0f} would do"
+                f"{compared} numbers, where {limit_at(REFUSED_BELOW, compared):.0f} would do"
                 f"{self._farthest(calibration, unloaded)}; is it touched, somewhere else than "
                 "commanded, or not the arm of the file? Larger tolerances in the arm file, or "
                 "force, accept them"

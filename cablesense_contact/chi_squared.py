@@ -13,9 +13,6 @@ from __future__ import annotations
 
 import math
 
-IMPROBABLE = 1e-6
-"""Probability of a misfit as large, below which what is assumed does not explain readings: neither
-that a contact made them, nor that the unloaded arm did."""
 _HALVINGS = 200
 """Of the interval in which a limit is sought; fewer would do for a double."""
 

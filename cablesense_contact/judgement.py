@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.chi_squared import IMPROBABLE, limit_at
+from cablesense_contact.chi_squared import limit_at
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_contact.law import LawOutput
@@ -39,6 +39,11 @@ DOUBTED_ABOVE = 0.05
 It is then as sure as its intervals, which hold in 95 %. It must be above the priors of several
 contacts together: where a machine has so few joints that no reading could tell those from one
 contact, their probability stays what it was before the reading.
+"""
+MISFIT_BELOW = 1e-6
+"""Probability, by the χ² of what a hypothesis leaves of a reading, below which it explains none.
+
+Each reading is judged: at 100 Hz noise alone falls below this once in some hours.
 """
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
@@ -266,4 +271,4 @@ class Judge:
 @cache
 def largest_chi2(numbers: int) -> float:
     """χ² of residuals up to which they count as noise; of no residual any will do."""
-    return limit_at(IMPROBABLE, numbers) if numbers > 0 else math.inf
+    return limit_at(MISFIT_BELOW, numbers) if numbers > 0 else math.inf

@@ -221,7 +221,8 @@ class Diagnosis:
         counted: (R,) rows that count in sizes of the gap (`counted_rows`).
         parameters: what the recording says about the arm's uncertain parameters, beside the
             effects that were found.
-        findings: what was read of the recording, and what its checks found, as sentences.
+        notes: what was read of the recording, as sentences.
+        warnings: what its checks found, as sentences.
     """
 
     recording: Recording
@@ -232,7 +233,8 @@ class Diagnosis:
     held_out_n: Array
     counted: NDArray[np.bool_]
     parameters: FittedParameters
-    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def before_n(self) -> Array:
@@ -282,7 +284,7 @@ def diagnose(
         unseen: numbers of trials whose readings are only checked; neither the search nor any
             figure of the verdict uses them.
         reference: of the same arm when it was healthy; the verdict says what changed since.
-        force: whether to continue if channels look exchanged; the findings then say so.
+        force: whether to continue if channels look exchanged; the warnings then say so.
         announce: receives the seconds that the search will take, before it begins.
         kept: files from which a diagnosis goes on that was interrupted.
 
@@ -329,7 +331,8 @@ def diagnose(
         held_out_n=outcome.held_out,
         counted=system.counted,
         parameters=fitted_parameters(arm, amended, outcome.known),
-        findings=(*recording.notes, *(finding.text for finding in findings)),
+        notes=recording.notes,
+        warnings=tuple(finding.text for finding in findings),
     )
 
 

@@ -24,8 +24,6 @@ from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions, ConditionUnits, SmoothColumns
 from cablesense_gap.verdict import ChannelCoverage, Lacking, Quantity, listed
 
-LEAST_COVERED = 0.5
-"""Share of a channel's readings below which its floor is mostly extrapolated."""
 _COUNTED_SHARE = 0.5
 """Share of what counts before the low-pass from which on a reading has conditions."""
 _RANGE_QUANTILES = 0.05, 0.95
@@ -49,11 +47,7 @@ class Coverage:
     @property
     def lacking(self) -> dict[str, ChannelCoverage]:
         """The channels whose floor is mostly extrapolated."""
-        return {
-            name: channel
-            for name, channel in self.by_channel.items()
-            if channel.share < LEAST_COVERED
-        }
+        return {name: each for name, each in self.by_channel.items() if not each.suffices}
 
     @property
     def experiment(self) -> str:

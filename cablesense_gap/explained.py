@@ -144,8 +144,8 @@ def shares(
     """
     problem = changes.problem
     best = changes.hypothesis
-    parts = {effect: _part(changes, effect) for effect in best.effects}
-    largest = sorted(best.effects, key=lambda effect: -parts[effect].size)
+    contributions = {effect: _contribution(changes, effect) for effect in best.effects}
+    largest = sorted(best.effects, key=lambda effect: -contributions[effect].size)
     share_of = {}
     for k, effect in enumerate(largest):
         included = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
@@ -153,8 +153,8 @@ def shares(
         predicted = best.held_out_effects if last else problem.predict([included])[0]
         places = dict.fromkeys(t.place for t in values if t.effect == effect)
         share_of[effect] = Share(
-            share_n=parts[effect].size,
-            ci95_n=parts[effect].interval,
+            share_n=contributions[effect].size,
+            ci95_n=contributions[effect].interval,
             left_n=_rms((problem.readings - predicted)[problem.used]),
             probability=min(1.0, sum(r.probability for r in ranked if effect in r.effects)),
             places=tuple(p for p in places if p != WHOLE_ARM),
@@ -182,8 +182,8 @@ def removes(changes: Changes) -> bool:
         if trade.traded.ci95_n[0] > 0.0
         for effect in trade.traded.effects
     }
-    parts = {effect: _part(changes, effect) for effect in hypothesis.effects}
-    known_alone = {effect for effect, part in parts.items() if part.size > part.deviation}
+    contributions = {effect: _contribution(changes, effect) for effect in hypothesis.effects}
+    known_alone = {effect for effect, part in contributions.items() if part.size > part.deviation}
     return set(hypothesis.effects) <= known_alone | in_known_pairs
 
 
@@ -208,22 +208,22 @@ def trades(changes: Changes) -> list[Trade]:
     """
     problem = changes.problem
     best = changes.hypothesis
-    parts = {effect: _part(changes, effect) for effect in best.effects}
+    contributions = {effect: _contribution(changes, effect) for effect in best.effects}
     traded_pairs = []
     for pair in combinations(best.effects, 2):
-        one, other = (parts[effect] for effect in pair)
+        one, other = (contributions[effect] for effect in pair)
         if any(part.deviation <= _UNSURE * part.size for part in (one, other)):
             continue
         covariance = float(one.slope @ best.covariance @ other.slope)
         correlation = covariance / (one.deviation * other.deviation)
         if abs(correlation) < TRADING:
             continue
-        joint_part = _part(changes, *pair)
+        joint_contribution = _contribution(changes, *pair)
         less = min(one, other, key=lambda part: part.size)
         traded = Traded(
             effects=pair,
-            share_n=joint_part.size,
-            ci95_n=joint_part.interval,
+            share_n=joint_contribution.size,
+            ci95_n=joint_contribution.interval,
             correlation=float(np.clip(correlation, -1.0, 1.0)),
         )
         step = -1.96 * (best.covariance @ less.slope) / less.deviation
@@ -240,7 +240,7 @@ def _scaled(problem: Problem, fitted: Hypothesis) -> Array:
     return np.array([to_scaled(problem.parameters[t], v) for t, v in fitted.values.items()])
 
 
-class _Part(NamedTuple):
+class _Contribution(NamedTuple):
     """RMS by which some effects change predictions, its standard deviation and its slope.
 
     `slope` (K,) is the derivative by the scaled numbers of these effects, zero for others.
@@ -256,7 +256,7 @@ class _Part(NamedTuple):
         return max(self.size - half, 0.0), self.size + half
 
 
-def _part(changes: Changes, *effects: str) -> _Part:
+def _contribution(changes: Changes, *effects: str) -> _Contribution:
     problem = changes.problem
     best = changes.hypothesis
     change = changes.without(*effects)[problem.used]
@@ -265,7 +265,7 @@ def _part(changes: Changes, *effects: str) -> _Part:
     if size > 0.0:
         by_number = (best.columns[:, problem.used] * change).mean(axis=(1, 2)) / size
         slope = np.where([term.effect in effects for term in best.values], by_number, 0.0)
-    return _Part(size, max(float(slope @ best.covariance @ slope), 0.0) ** 0.5, slope)
+    return _Contribution(size, max(float(slope @ best.covariance @ slope), 0.0) ** 0.5, slope)
 
 
 def _alternatives(ranked: Sequence[Ranked], effect: str) -> tuple[str, ...]:

@@ -59,8 +59,10 @@ class KeptSimulations:
     ) -> KeptSimulations:
         """The folder of a command in its folder `out`; predictions of other commands are deleted.
 
-        A command is the same if its input files have the same content, its settings are equal and
-        the code is.
+        A command is the same if its `inputs` have the same content, wherever they lie and whatever
+        they are called, and its `settings` are equal: those that change what is simulated or
+        compared. What changes only how it is run, as `--workers` and `--force`, is none of them.
+        The sources count too: another version of the code discards what this one has kept.
 
         Raises:
             KeptSimulationsError: earlier predictions cannot be deleted.

@@ -121,14 +121,14 @@ def decompose(recording: Recording, residual_n: Array, floor_n: float, arm: Arm)
         (LOOP, "half the width of the loop", loop_n(recording, residual_n)),
         *((group, member, residual_n[rows]) for group, member, rows in row_groups(recording, arm)),
     ]
-    measured = (_part(*piece, floor_n) for piece in pieces)
+    measured = (_measured_part(*piece, floor_n) for piece in pieces)
     parts = tuple(part for part in measured if part is not None)
     if not parts:
         raise ValueError("the residual has no number that is finite")
     return Decomposition(parts, floor_n)
 
 
-def _part(group: str, member: str, values_n: Array, floor_n: float) -> Part | None:
+def _measured_part(group: str, member: str, values_n: Array, floor_n: float) -> Part | None:
     """The sizes of values (R, C) in N; None without a finite row."""
     values_n = values_n[np.isfinite(values_n).all(axis=1)]
     if not values_n.size:

@@ -19,6 +19,8 @@ CANNOT_TELL: Final = "cannot_tell"
 """The reference does not cover the recording, so that nothing can be said."""
 MAX_FILE_BYTES = 10_000_000
 """A verdict is some pages of text; anything larger is not one."""
+_LEAST_COVERED = 0.5
+"""Share of a channel's readings below which its floor is mostly extrapolated."""
 
 
 class VerdictError(CableSenseError):
@@ -305,6 +307,11 @@ class ChannelCoverage(FilePart):
     share: Probability
     lacking: tuple[Lacking, ...] = ()
 
+    @property
+    def suffices(self) -> bool:
+        """Whether most of the channel's floor is known by the reference, not extrapolated."""
+        return self.share >= _LEAST_COVERED
+
 
 class ReferenceGap(FilePart):
     """The healthy recording that a verdict is against; what it names came since.
@@ -325,6 +332,11 @@ class ReferenceGap(FilePart):
     channels: dict[ChannelName, ChannelGap] = Field(default_factory=dict)
     covered_share: Probability | None = None
     coverage: dict[ChannelName, ChannelCoverage] = Field(default_factory=dict)
+
+    @property
+    def lacking(self) -> dict[str, ChannelCoverage]:
+        """The channels that are mostly not covered."""
+        return {name: each for name, each in self.coverage.items() if not each.suffices}
 
 
 class Verdict(FilePart):
@@ -395,6 +407,22 @@ class Verdict(FilePart):
         for (effects, _), count in kinds.items():
             if count > 1:
                 raise ValueError(f"candidates: {joined(effects)} stands twice; each must be once")
+        return self
+
+    @model_validator(mode="after")
+    def _cannot_tell_names_what_lacks(self) -> Verdict:
+        if self.effects != (CANNOT_TELL,):
+            return self
+        if self.reference is None:
+            raise ValueError(
+                f"effects: {CANNOT_TELL} is said against a reference alone, and there is none; "
+                f"give one, or say {NONE}, {UNKNOWN} or names of effects"
+            )
+        if not self.reference.lacking:
+            raise ValueError(
+                f"reference.coverage: {CANNOT_TELL} needs a channel of which less than "
+                f"{_LEAST_COVERED:.0%} is covered, and none is here"
+            )
         return self
 
     @property

@@ -18,7 +18,8 @@ from cablesense_contact.law import Law
 from cablesense_online.movable import TAUT_SHARE, Movable, taut
 
 READINGS = 20
-"""Averaged in a pose: fifty lower the deviation of a force by four hundredths."""
+"""Averaged in a pose, unless told otherwise: of more, the noise of the mean is lower, but it is no
+longer what limits how well a force is known."""
 _FEWEST_CANDIDATES = 160
 """Random poses of which those are chosen that teach most."""
 _CANDIDATES_PER_POSE = 2

@@ -237,13 +237,13 @@ def bag_table(
         table = dict(zip(channels.labels(Kind.POSITION), position.T, strict=True))
         table |= zip(channels.labels(Kind.TORQUE), torque.T, strict=True)
     table[TIME] = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
-    trial_topic = _one_of(bag, "trials", list(bag.trials), topics, states_topic)
+    trial_topic = _chosen_topic(bag, "trials", list(bag.trials), topics, states_topic)
     if trial_topic:
         trial = bag.trials[trial_topic].at(counts, 1)[:, 0]
         numbered = np.isfinite(trial)
         if numbered.any():
             table[TRIAL] = np.where(numbered, trial, np.nanmin(trial) - 1.0)
-    command_topic = _one_of(bag, "commands", list(bag.commands), topics, states_topic)
+    command_topic = _chosen_topic(bag, "commands", list(bag.commands), topics, states_topic)
     if command_topic:
         command = bag.commands[command_topic].at(counts, len(channels.actuators))
         table |= zip(channels.labels(Kind.COMMAND), command.T, strict=True)
@@ -483,7 +483,7 @@ def _merged(
     Raises:
         RecordingError: one of several series runs back.
     """
-    series = [_joined(part) for part in parts]
+    series = [_concatenated(part) for part in parts]
     notes: list[str] = []
     logs = [times[:, 1] for times, _, _ in series]
     clocks = []
@@ -529,7 +529,7 @@ def _merged(
     return counts[kept], clock_ns[kept], position[kept], torque[kept], notes
 
 
-def _joined(part: Sequence[_Source]) -> tuple[NDArray[np.int64], list[int], Array]:
+def _concatenated(part: Sequence[_Source]) -> tuple[NDArray[np.int64], list[int], Array]:
     """Counts and times (R, 3), joints, and values (R, 2, K) of sources that follow each other."""
     joints = sorted(part[0].joints)
     ordered = [each.values[:, :, np.argsort(each.joints)] for each in part]
@@ -553,7 +553,7 @@ def _brought_to(
     return known, (1.0 - share) * values[after - 1] + share * values[after]
 
 
-def _one_of(
+def _chosen_topic(
     bag: _Bag, what: str, present: list[str], topics: Sequence[str], states: str
 ) -> str | None:
     """The topic of commands or trials: the one that is asked for, of the namespace, or alone.

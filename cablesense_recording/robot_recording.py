@@ -81,7 +81,8 @@ class RobotRecording:
         torque: (R, J) of the drives at the joints, N·m or N, but for currents whose factor is
             unknown; NaN for joints without.
         command: (R, A) of the actuators' inputs; NaN for those without.
-        notes: what was read, what was changed, and what is odd, as sentences.
+        notes: what was read, and what was changed, as sentences.
+        warnings: what looks wrong, as sentences.
         efforts: (J,) what the torques were recorded as; torques where it is empty.
         trial_labels: (T,) what the files call each trial, as of `trial_label`.
     """
@@ -93,6 +94,7 @@ class RobotRecording:
     torque: Array
     command: Array
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     efforts: tuple[Effort, ...] = ()
     trial_labels: tuple[TrialLabel, ...] = ()
 
@@ -123,14 +125,15 @@ class RobotRecording:
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One file, or one bag, in the order of its rows.
+class _FileRows:
+    """The rows of one file, or one bag, in their order: a part of the recording.
 
     Attributes:
         path: of it.
         first_row: number of the first row that is used, from 1.
         columns: time_s (R,), trial (R,), position (R, J), torque (R, J), command (R, A).
         notes: what was changed, as sentences.
+        warnings: what looks wrong, as sentences.
         stated_trial: (R,) the file's own numbers of trials, where it has some.
     """
 
@@ -138,6 +141,7 @@ class _Part:
     first_row: int
     columns: _Columns
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     stated_trial: Array | None
 
     @property
@@ -185,37 +189,39 @@ def read_by_channels(
     for file, table in tables.items():
         tables[file], sentences = with_positions(file, table, channels, kinematics)
         notes += sentences
-    parts = [_part(file, table, channels, bag) for file, table in tables.items()]
+    parts = [_file_rows(file, table, channels, bag) for file, table in tables.items()]
+    warnings: list[str] = []
     for part in parts:
         notes += part.notes
+        warnings += part.warnings
     trial, note = _trials(parts)
-    every = _joined(parts)
+    every = _columns_of_all(parts)
     every[TRIAL] = trial.astype(np.float64)
-    notes += _check_units(path, channels, every, force=force)
+    warnings += _check_units(path, channels, every, force=force)
     constant = [
         number
         for number in constant_channels(channels.labels(Kind.TORQUE), every["torque"])
         if channels.driven[number] or every["torque"][0, number] != 0.0
     ]
-    notes += [
+    warnings += [
         f"{channels.labels(Kind.TORQUE)[number]} is {every['torque'][0, number]:g} in every row, "
         "whatever moves, so it is not compared; see whether its sensor is connected."
         for number in constant
     ]
     for part in parts:
-        findings = list(_dead(channels, part, constant))
+        findings = list(_dead_channels(channels, part, constant))
         refusals = [each.text for each in findings if each.refuses and not force]
         if refusals:
             more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
             raise RecordingError(f"{part.path}: {refusals[0]}{more}, or continue with --force")
-        notes += [f"{each.text}." for each in findings]
+        warnings += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
     measured = np.flatnonzero(np.isfinite(torque).any(axis=0)).tolist()
     of_measured = [channels.efforts[joint] for joint in measured]
     notes += effort_sentences(of_measured, [channels.joint_names[joint] for joint in measured])
     if not np.isfinite(torque).any():
-        notes += _constant_commands(channels, every["command"])
+        warnings += _constant_commands(channels, every["command"])
     return RobotRecording(
         name=plain_name(path.name) if path.is_dir() else csv_stem(path),
         time_s=every[TIME],
@@ -224,6 +230,7 @@ def read_by_channels(
         torque=in_known_units(torque, channels.efforts),
         command=every["command"],
         notes=(*notes, note),
+        warnings=tuple(warnings),
         efforts=channels.efforts,
         trial_labels=tuple(_trial_labels(parts, trial)),
     )
@@ -239,7 +246,7 @@ def _constant_commands(channels: RobotChannels, command: Array) -> list[str]:
     ]
 
 
-def _joined(parts: Sequence[_Part]) -> _Columns:
+def _columns_of_all(parts: Sequence[_FileRows]) -> _Columns:
     """The columns of all files, one after the other."""
     kinds = parts[0].columns
     return {kind: np.concatenate([part.columns[kind] for part in parts]) for kind in kinds}
@@ -310,8 +317,8 @@ def _with_efforts(
     return of_efforts, labelled
 
 
-def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _Part:
-    """One file as arrays, from the first row on in which all its channels have begun.
+def _file_rows(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _FileRows:
+    """The rows of one file, from the first on in which all its channels have begun.
 
     Raises:
         RecordingError: a column is missing or of another robot, a cell is empty, or time does not
@@ -322,7 +329,7 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     present = [channel for channel in channels.table if channel.label in table]
     measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
     numbered = any(channel.kind is Kind.TRIAL for channel in measured)
-    begin, end = _begun(table, measured)
+    begin, end = _complete_range(table, measured)
     _refuse_impossible_cells(path, table, measured, begin, end)
     trial = np.zeros(rows, dtype=np.int64)
     if numbered:
@@ -338,10 +345,10 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     time_s = table[TIME][used]
     trial = trial[used] - trial[begin]
     if numbered:
-        notes += _returning(table[TRIAL][used], trial)
+        notes += _notes_on_returning_trials(table[TRIAL][used], trial)
     position = _stacked(table, channels.labels(Kind.POSITION), used)
-    leap, sentences = _leaps(path, channels, time_s, trial, position, first_row)
-    notes += sentences
+    leap, parted, warnings = _leaps(path, channels, time_s, trial, position, first_row)
+    notes += parted
     by_number = trial + np.cumsum(leap)
     trial = by_number if numbered else _by_pauses(time_s, position, leap)
     columns = {
@@ -351,11 +358,12 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
         "torque": _stacked(table, channels.labels(Kind.TORQUE), used),
         "command": _stacked(table, channels.labels(Kind.COMMAND), used),
     }
-    return _Part(
+    return _FileRows(
         path=path,
         first_row=first_row,
         columns=columns,
         notes=tuple(notes),
+        warnings=tuple(warnings),
         stated_trial=table[TRIAL][used] if numbered else None,
     )
 
@@ -413,13 +421,14 @@ def _leaps(
     trial: NDArray[np.int64],
     position: Array,
     first_row: int,
-) -> tuple[NDArray[np.bool_], list[str]]:
-    """(R,) the rows at which time or a position (R, J) leaps, and what is said of them.
+) -> tuple[NDArray[np.bool_], list[str], list[str]]:
+    """(R,) the rows at which time or a position (R, J) leaps, notes on them, and warnings.
 
     Raises:
         RecordingError: times are uneven, or positions leap back and forth.
     """
     notes: list[str] = []
+    warnings: list[str] = []
     leap = leaps(time_s, trial)
     if leap.any():
         notes.append(parted_sentence(time_s, leap, first_row))
@@ -431,15 +440,15 @@ def _leaps(
         for finding in leaps_and_returns(channel, joint_position, parted, first_row):
             if finding.refuses:
                 raise RecordingError(f"{path}: {finding.text}")
-            notes.append(f"{finding.text}.")
+            warnings.append(f"{finding.text}.")
     jump = position_leaps(position, parted)
     if jump.any():
         labels = channels.labels(Kind.POSITION)
         notes.append(leap_sentence(labels, position, jump, first_row))
-    return leap | jump, notes
+    return leap | jump, notes, warnings
 
 
-def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
+def _complete_range(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
     """The first row in which all channels have begun, and the row behind the last of all.
 
     Drives are often enabled after the recorder has started: efforts are missing till then, or 0.
@@ -476,7 +485,7 @@ def _refuse_gaps(path: Path, channel: Channel, values: Array, begin: int, end: i
         )
 
 
-def _returning(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
+def _notes_on_returning_trials(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
     """A sentence if a trial's number comes back after another one."""
     starts = np.append(True, np.diff(trial) != 0)
     values, counts = np.unique(numbers[starts], return_counts=True)
@@ -506,7 +515,7 @@ def _refuse_other_names(path: Path, table: _Columns, channels: RobotChannels) ->
         )
 
 
-def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
+def _trials(parts: Sequence[_FileRows]) -> tuple[NDArray[np.int64], str]:
     """By column, by file, or by pauses; cut into stretches where there are too few."""
     trials: list[NDArray[np.int64]] = []
     begin = 0
@@ -521,7 +530,7 @@ def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
     return trial, f"Trials {how}."
 
 
-def _trial_labels(parts: Sequence[_Part], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
+def _trial_labels(parts: Sequence[_FileRows], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
     """The label of each of the trials (R,) of all parts, as of `RobotRecording.trial_label`."""
     first_row = 0
     for part in parts:
@@ -579,8 +588,8 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
 def _check_units(
     path: Path, channels: RobotChannels, every: Mapping[str, Array], *, force: bool
 ) -> list[str]:
-    """Milliseconds, degrees, and a robot that does not move; what `force` lets pass, as notes."""
-    notes = []
+    """Warnings of what `force` lets pass; milliseconds and a robot at rest are refused."""
+    warnings = []
     interval = np.diff(every[TIME])
     within = np.diff(every[TRIAL]) == 0
     position = every["position"]
@@ -599,14 +608,16 @@ def _check_units(
         text = f"positions reach {largest:.4g}; they must be in rad (degrees given?)"
         if not force:
             raise RecordingError(f"{path}: {text}; if they are, continue with --force")
-        notes.append(f"{text[0].upper()}{text[1:]}.")
+        warnings.append(f"{text[0].upper()}{text[1:]}.")
     moved = np.ptp(position, axis=0)
     if moved.max(initial=0.0) <= 0.0:
         raise RecordingError(f"{path}: no joint moves; a recording of motion is right")
-    return notes
+    return warnings
 
 
-def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iterator[Finding]:
+def _dead_channels(
+    channels: RobotChannels, part: _FileRows, constant: Sequence[int]
+) -> Iterator[Finding]:
     """Channels that do not follow what they measure; torques that are `constant` are known."""
     positions = channels.labels(Kind.POSITION)
     torques = channels.labels(Kind.TORQUE)

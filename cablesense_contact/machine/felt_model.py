@@ -32,8 +32,8 @@ _SLACK_BELOW_STD = 4.0
 """An unloaded reading below this many deviations of a sensor's zero may be of a slack tendon."""
 
 
-_ALONG_Z = 0.1
-"""Part of z that is felt, below which y is taken."""
+_FELT_OF_Z = 0.1
+"""Felt share of a force along a link's z, below which a direction near its y is taken."""
 
 
 class FeltModel:
@@ -162,8 +162,11 @@ def _per_radian(machine: Machine, statics: MachineStatics) -> float:
 
 
 def _felt_direction(projection: Array) -> Array:
-    """(3,) a unit vector across a link that is felt, along z where that is."""
+    """(3,) the felt direction across a link that is nearest to its z, or else to its y.
+
+    `projection` (2, 2) takes a force (y, z) across the link to the part of it that is felt.
+    """
     across = projection[:, 1]
-    if np.linalg.norm(across) < _ALONG_Z:
+    if np.linalg.norm(across) < _FELT_OF_Z:
         across = projection[:, 0]
     return np.append(0.0, across / np.linalg.norm(across))

@@ -34,8 +34,28 @@ EVIDENCE = (
 )
 """Inputs of the graph in a machine's model file, see `cablesense_training.law.evidence`."""
 
-STATED = LawOutput._fields[: LawOutput._fields.index("fault_n") + 1]
-"""Outputs of that graph."""
+STATED = (
+    "contact_evidence",
+    "segment_evidence",
+    "several_evidence",
+    "faulty_evidence",
+    "faulty_segment_evidence",
+    "exchanged_evidence",
+    "free_chi2",
+    "contact_chi2",
+    "several_chi2",
+    "place_m",
+    "place_ci95_m",
+    "region_m",
+    "force_n",
+    "contact_covariance",
+    "magnitude_ci95_n",
+    "moment_n_m",
+    "moment_std_n_m",
+    "fault_n",
+)
+"""Outputs of that graph: the fields of `cablesense_training.law.statement.Statement` in its order.
+The other fields of `LawOutput` are computed from the observations."""
 
 _OF_FORCE = ("force_n", "magnitude_ci95_n", "moment_n_m", "moment_std_n_m", "fault_n")
 """Outputs that scale with force."""

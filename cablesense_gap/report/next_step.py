@@ -24,16 +24,16 @@ class Given:
 
     Attributes:
         recording: its path.
-        arm: the arm file or its bundled name; of a robot, its model.
+        machine: the arm file or its bundled name, or a robot's model.
         out: the folder of the report.
-        model: of an adaptation, the estimator in use; empty for that of the arm file.
+        estimator: of an adaptation, the model file in use; empty for that of the arm file.
         external: whether positions of a robot were measured outside of its drives.
     """
 
     recording: str = "RECORDING"
-    arm: str = "ARM"
+    machine: str = "ARM"
     out: str = "OUT"
-    model: str = ""
+    estimator: str = ""
     external: bool = False
 
 
@@ -52,20 +52,20 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
     if estimator is not None and estimator.after is not None and estimator.use == "after":
         return _run_the_new(verdict, given)
     if verdict.effects == (CANNOT_TELL,):
-        return _record_when_healthy(given, arm=given.arm)
+        return _record_when_healthy(given, arm=given.machine)
     if is_undecided(verdict):
         return NextStep(
             "Record what decides",
             "This recording does not tell the explanations apart. Record the block that is "
             "described here, with its unloaded rows, and diagnose it.",
-            _command("gap", "record", arm=given.arm, out="next.mcap"),
+            _command("gap", "record", arm=given.machine, out="next.mcap"),
         )
     if verdict.effects == (UNKNOWN,):
         return NextStep(
             "Narrow it down",
             "No effect of the library explains the gap, so no other arm file is better. Record "
             "the protocol, with the block that is described here, and diagnose it.",
-            _command("gap", "record", arm=given.arm, out="next.mcap"),
+            _command("gap", "record", arm=given.machine, out="next.mcap"),
         )
     if verdict.effects == (NONE,):
         return NextStep(
@@ -73,7 +73,7 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
             "The arm is as its file says, within its tolerances. Its unloaded rows tell where in "
             "these it is, and an estimator that knows this errs less.",
             _command(
-                "calibrate", given.recording, arm=given.arm, out=f"{given.out}/{CALIBRATION}"
+                "calibrate", given.recording, arm=given.machine, out=f"{given.out}/{CALIBRATION}"
             ),
         )
     if all(_acts_on_loads(name) for name in verdict.effects):
@@ -96,16 +96,20 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
         "It makes the estimator of the arm as it is found to be, with its calibration, and judges "
         "it beside the present one on loads that the diagnosis does not have.",
         _command(
-            "gap", "adapt", given.recording, arm=given.arm, out=f"{given.out.rstrip('/')}_adapted"
+            "gap",
+            "adapt",
+            given.recording,
+            arm=given.machine,
+            out=f"{given.out.rstrip('/')}_adapted",
         ),
     )
 
 
 def robot_next_step(verdict: Verdict, given: Given) -> NextStep:
-    """The next step after a diagnosis of a robot, whose model is `given.arm`."""
+    """The next step after a diagnosis of a robot, whose model is `given.machine`."""
     positions = {"positions": "external"} if given.external else {}
     if verdict.effects == (CANNOT_TELL,):
-        return _record_when_healthy(given, model=given.arm, **positions)
+        return _record_when_healthy(given, model=given.machine, **positions)
     if verdict.effects == (NONE,):
         return NextStep(
             "Keep this recording",
@@ -116,7 +120,7 @@ def robot_next_step(verdict: Verdict, given: Given) -> NextStep:
                 "diagnose",
                 "NEW_RECORDING",
                 reference=given.recording,
-                model=given.arm,
+                model=given.machine,
                 **positions,
                 out="changes",
             ),
@@ -126,7 +130,7 @@ def robot_next_step(verdict: Verdict, given: Given) -> NextStep:
             "Narrow it down",
             "The recording does not show the cause surely. The protocol has the motions that tell "
             "effects apart; record and diagnose them.",
-            _command("gap", "protocol", model=given.arm, out="next.csv"),
+            _command("gap", "protocol", model=given.machine, out="next.csv"),
         )
     return NextStep(
         "Check the amended model",
@@ -190,7 +194,7 @@ def _keep_the_first(verdict: Verdict, given: Given) -> NextStep:
             f"On withheld loads the new one errs no less: {_decided_by(verdict)}. It is kept "
             f"beside this report, as {ADAPTED_MODEL} with {CALIBRATION}."
         )
-    return NextStep("Keep the estimator in use", why, run_command(given.arm, given.model))
+    return NextStep("Keep the estimator in use", why, run_command(given.machine, given.estimator))
 
 
 def _decided_by(verdict: Verdict) -> str:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.coverage import LEAST_COVERED
 from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
@@ -20,6 +19,7 @@ from cablesense_gap.verdict import (
     DECIDING_ERROR,
     NONE,
     UNKNOWN,
+    CandidateResult,
     Earlier,
     EstimatorErrors,
     FittedNumber,
@@ -149,13 +149,13 @@ def _kept(verdict: Verdict, names: tuple[str, ...]) -> str:
 def _lacking(verdict: Verdict) -> str:
     """`7 % of shoulder and 12 % of elbow`: the channels that are mostly not covered."""
     assert verdict.reference is not None
-    shares = {name: each.share for name, each in verdict.reference.coverage.items()}
-    channels = [name for name, share in shares.items() if share < LEAST_COVERED]
-    most = percent(max(shares[name] for name in channels))
-    if len(channels) > _MOST_CHANNELS:
-        return f"at most {most} of {len(channels)} channels"
-    texts = [f"{percent(shares[name])} of {_channel(verdict, name)}" for name in channels]
-    return listed(texts)
+    lacking = verdict.reference.lacking
+    if len(lacking) > _MOST_CHANNELS:
+        most = max(each.share for each in lacking.values())
+        return f"at most {percent(most)} of {len(lacking)} channels"
+    return listed(
+        [f"{percent(each.share)} of {_channel(verdict, name)}" for name, each in lacking.items()]
+    )
 
 
 def _channel(verdict: Verdict, name: str) -> str:
@@ -423,9 +423,22 @@ def _at(places: tuple[str, ...]) -> str:
     return f", {place_text(places)}" if places else ""
 
 
-def candidate_name(effects: tuple[str, ...] | list[str]) -> str:
-    """`payload + base tilt`, as pictures and lists call a candidate."""
-    return " + ".join(name.replace("_", " ") for name in effects)
+def candidate_name(effects: tuple[str, ...] | list[str], *, unlisted: bool = False) -> str:
+    """`payload + base tilt`, as pictures and lists call a candidate.
+
+    Where something `unlisted` acts beside these effects, it is the last of them.
+    """
+    names = [name.replace("_", " ") for name in effects]
+    if unlisted:
+        names.append("something unlisted")
+    return " + ".join(names)
+
+
+def named_candidates(verdict: Verdict) -> list[tuple[str, CandidateResult]]:
+    """All candidates with their names, the most probable first."""
+    return [
+        (candidate_name(each.effects, unlisted=each.unlisted), each) for each in verdict.ranked
+    ]
 
 
 _Kind = Literal["before", "after", "other", "floor"]
@@ -503,6 +516,7 @@ def common_content(verdict: Verdict) -> dict[str, Any]:
         "rivals": rival_names(verdict),
         "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,
+        "candidates": named_candidates(verdict),
         "bars": gap_bars(verdict),
         "removed_by_channel": removed_by_channel(verdict),
         "steps": steps(verdict),

@@ -16,19 +16,25 @@ from cablesense_recording.recording import RecordingError
 
 LEAST_RATIO: Final = 1e-3
 """Singular values of the Jacobian, by the largest, from which on a joint is determined."""
-_FEWEST_ROWS = 0.99
-"""Share of the rows in which all joints must be determined; others are interpolated in none."""
-_MOST_LEFT: Final = 0.2
-"""Share of a frame's motion that the best joint positions leave, from which on the pose is of
-another frame, or in other axes than those of the model's base."""
-_MOST_STARTS = 24
-_MOST_STEPS = 60
-_STEPS_ON = 12
-_SMALL_STEP = 1e-10
-_LEAST_DAMPING = 1e-9
-_SAME_POSTURE = 1e-3
-"""Of two postures, in rad or m; postures farther apart are two."""
+_DETERMINED_SHARE = 0.99
+"""Least share of the probed rows in which a joint must be determined."""
 _PROBED_ROWS = 50
+"""Rows in which that is asked, spread evenly over the recording."""
+_LARGEST_RESIDUAL_SHARE: Final = 0.2
+"""RMS by which the best joint positions miss a frame's place, as a share of its motion, from which
+on the pose is of another frame, or in other axes than those of the model's base."""
+_STARTS = 24
+"""Postures from which a row that follows no other is sought: one that is known, others random."""
+_STEPS_FROM_START = 60
+"""At most, of a descent from one of these."""
+_STEPS_FROM_ROW_BEFORE = 12
+"""At most, of a descent from the posture of the row before."""
+_SMALLEST_STEP = 1e-10
+"""rad or m; a descent ends where no joint goes farther."""
+_LEAST_DAMPING = 1e-9
+"""Of a descent, as a share of the mean diagonal of the normal equations."""
+_SAME_POSTURE_WITHIN = 1e-3
+"""rad or m; postures of which a joint differs by more are two."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class PoseKinematics:
                 present, alternatives = self._posture(present, sought, measured)
                 several |= alternatives
             else:
-                present = self._descent(present, sought, measured, _STEPS_ON)
+                present = self._descent(present, sought, measured, _STEPS_FROM_ROW_BEFORE)
             positions[row, sought] = present[sought]
             left.append(self._residual(present, measured)[0])
         self._refuse_undetermined(positions[rows], sought, frames, poses)
@@ -169,7 +175,7 @@ class PoseKinematics:
                 damping = max(0.1 * damping, _LEAST_DAMPING)
             else:
                 damping = max(10.0 * damping, 1e-6)
-            if np.abs(step).max(initial=0.0) < _SMALL_STEP or damping > 1e6:
+            if np.abs(step).max(initial=0.0) < _SMALLEST_STEP or damping > 1e6:
                 break
         return best
 
@@ -185,11 +191,11 @@ class PoseKinematics:
         low = np.where(model.jnt_limited, model.jnt_range[:, 0], -np.pi)
         high = np.where(model.jnt_limited, model.jnt_range[:, 1], np.pi)
         postures = []
-        for number in range(_MOST_STARTS):
+        for number in range(_STARTS):
             begin = position.copy()
             if number:
                 begin[sought] = rng.uniform(low, high)[sought]
-            posture = self._descent(begin, sought, measured, _MOST_STEPS)
+            posture = self._descent(begin, sought, measured, _STEPS_FROM_START)
             hinge = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
             turned = hinge & ~model.jnt_limited.astype(bool)
             turned &= np.isin(np.arange(model.nv), sought)
@@ -204,7 +210,7 @@ class PoseKinematics:
         distances = [float(np.abs(each - model.qpos0)[sought].sum()) for each in within]
         nearest = within[int(np.argmin(distances))]
         apart = [float(np.abs(each - nearest)[sought].max(initial=0.0)) for each in within]
-        return nearest, max(apart) > _SAME_POSTURE
+        return nearest, max(apart) > _SAME_POSTURE_WITHIN
 
     def _refuse_undetermined(
         self,
@@ -224,7 +230,7 @@ class PoseKinematics:
             ratios = np.append(singular, np.zeros(len(sought) - len(singular)))
             null = axes[ratios < LEAST_RATIO * max(float(ratios.max(initial=0.0)), 1e-9)]
             free += (np.abs(null) > 0.1).any(axis=0)
-        undetermined = free > (1.0 - _FEWEST_ROWS) * len(probed)
+        undetermined = free > (1.0 - _DETERMINED_SHARE) * len(probed)
         if undetermined.any():
             names = [self._robot.joint_names[joint] for joint in sought[undetermined]]
             named = some_of([f"pose.{name}" for name in poses])
@@ -250,7 +256,7 @@ class PoseKinematics:
             first += 6 if pose.shape[1] == 7 else 3
             moved_m = np.linalg.norm(np.ptp(pose[rows, :3], axis=0))
             rms_m = float(np.sqrt((off_m**2).mean()))
-            if rms_m > max(_MOST_LEFT * float(moved_m), 1e-4):
+            if rms_m > max(_LARGEST_RESIDUAL_SHARE * float(moved_m), 1e-4):
                 raise RecordingError(
                     f"pose.{name} cannot be reached: the nearest postures are off by "
                     f"{1e3 * rms_m:.3g} mm (RMS); it must be that of the model's frame {name}, in "

@@ -182,7 +182,7 @@ def write_protocol(path: Path, robot: Robot, blocks: Sequence[RobotBlock]) -> in
     Raises:
         RecordingError: the place cannot be written to.
     """
-    position, trial = _joined(blocks)
+    position, trial = _concatenated(blocks)
     columns = {"time_s": np.arange(len(position)) / RATE_HZ, "trial": trial + 1}
     columns |= {f"position.{name}": position[:, j] for j, name in enumerate(robot.joints)}
     write_table(path, columns, "%.6f")
@@ -198,7 +198,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     if not rivals:
         return ""
     blocks = standard_protocol(robot)
-    position, number = _joined(blocks, _COMPARED_STRIDE)
+    position, number = _concatenated(blocks, _COMPARED_STRIDE)
     moved = [derivatives(block.position, RATE_HZ) for block in blocks]
     speed, acceleration = (
         np.concatenate([each[k][::_COMPARED_STRIDE] for each in moved]) for k in range(2)
@@ -254,7 +254,7 @@ def _ranges(robot: Robot, ties: Sequence[JointTie]) -> tuple[Array, Array]:
     return _with_followers(middle[None], ties)[0], reach
 
 
-def _joined(blocks: Sequence[RobotBlock], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
+def _concatenated(blocks: Sequence[RobotBlock], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
     """Positions and numbers of blocks, one after the other."""
     positions = [block.position[::every] for block in blocks]
     number = np.repeat(np.arange(len(blocks)), [len(each) for each in positions])

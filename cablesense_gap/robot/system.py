@@ -420,7 +420,8 @@ class RobotDiagnosis:
         amended: effects of the verdict and tolerances, as fitted.
         before, after: (Q, C) predicted, in the channels' units; after by fits that have not seen
             the trial.
-        findings: changes to recording and model, and doubts about them, as sentences.
+        notes: what was read and changed, and how it is compared, as sentences.
+        warnings: what looks wrong with recording and model, as sentences.
         beside: effects of the nominal model that its JSON file lists.
     """
 
@@ -429,7 +430,8 @@ class RobotDiagnosis:
     amended: dict[Term, float]
     before: Array
     after: Array
-    findings: tuple[str, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     beside: Assignment
 
 
@@ -484,7 +486,7 @@ def diagnose(
     present step and the share of the whole that is done, `announce` the seconds that the search
     will take, before it begins; `workers` processes share it.
     With `force` it continues if columns look exchanged, reversed, wrapped or in another unit; the
-    findings then say so.
+    warnings then say so.
     A `reference` is of the same robot when it was healthy; the verdict says what changed since.
     From the files `kept` a diagnosis goes on that was interrupted.
 
@@ -519,28 +521,34 @@ def diagnose(
         amended=added(added(diagnosis.values, diagnosis.tolerances), known),
         before=diagnosis.nominal * system.comparison.noise,
         after=diagnosis.held_out * system.comparison.noise,
-        findings=(
+        notes=(
             *recording.notes,
-            *(f"{column[0].upper()}{column[1:]}." for column in suspect),
             *(() if motion.forward else robot.left_out),
-            *doubts.beyond_range(recording, robot),
             *doubts.servos_read(robot, motion),
-            *(() if zeroed else doubts.starts_at_zero(recording)),
-            *_of_efforts(recording, system),
+            *_fitted_gains(robot, motion),
             system.compared,
+        ),
+        warnings=(
+            *recording.warnings,
+            *(f"{column[0].upper()}{column[1:]}." for column in suspect),
+            *doubts.beyond_range(recording, robot),
+            *(() if zeroed else doubts.starts_at_zero(recording)),
+            *_doubtful_units(recording, system),
         ),
         beside=beside,
     )
 
 
-def _of_efforts(recording: RobotRecording, system: RobotSystem) -> Iterator[str]:
-    """What is odd about the units of channels, and gains that were estimated, as sentences."""
+def _doubtful_units(recording: RobotRecording, system: RobotSystem) -> Sequence[str]:
+    """What is odd about the units of channels, as sentences."""
     motion = system.motion
-    robot = system.robot
     if motion.by_command or motion.external or motion.forward:
-        yield from system.doubtful()
-    else:
-        yield from effort_readings(robot, motion, recording.stated_efforts).doubts
+        return system.doubtful()
+    return effort_readings(system.robot, motion, recording.stated_efforts).doubts
+
+
+def _fitted_gains(robot: Robot, motion: Motion) -> Iterator[str]:
+    """Torque constants that nobody stated and that are therefore fitted, as sentences."""
     for joint in np.flatnonzero(motion.unknown_gain).tolist():
         yield (
             f"1 A at {robot.joints[joint]} is taken for {motion.gain[joint]:.3g} "

@@ -21,20 +21,20 @@ DISTRUST_S = 10.0
 AGAIN_CYCLES = 0.25
 """A frame that the one before it equals, so soon after it, was sent again by its own sender: CAN
 does so if another node saw an error in the last bits of a frame that this one has taken."""
-THREE_CYCLES = 1.3
-"""Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
-second sender they take one."""
+THREE_FRAMES_CYCLES = 1.3
+"""Cycles below which three frames of one id are those of two senders: from one sender they take
+two, or 1.4 in the least favourable order of twelve, and from two they take one."""
 EARLY_CYCLES = 1.0
 """Jitter, in cycles, by which a counter may be ahead of time."""
 HELD_UP_CYCLES = 1000.0
 """The longest time, in cycles, that a reader that was held up makes up."""
-SLOWER = 0.01
+SLOWER_SHARE = 0.01
 """Share by which an amplifier may be slower than the map says, so that it gains no time."""
 CUT_SAMPLES = 8
 """Successive samples with a pause inside that show that samples begin in mid-cycle: bus traffic
 delays single frames only."""
-WIDER = 2.0
-"""Such a pause is this many times the one before its sample."""
+CUT_PAUSE_RATIO = 2.0
+"""How many times as long as the pause before its sample such a pause inside is."""
 
 
 class Decoded(NamedTuple):
@@ -108,7 +108,7 @@ class _Senders:
         times_s = self._times_s.setdefault(message, deque(maxlen=2))
         span_s = time_s - times_s[0] if len(times_s) == 2 else np.inf
         times_s.append(time_s)
-        if 0.0 <= span_s < THREE_CYCLES * self._cycle_s:
+        if 0.0 <= span_s < THREE_FRAMES_CYCLES * self._cycle_s:
             text = f"came three times in {span_s:.5f} s; cycle_time_s is {self._cycle_s:g}"
             self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
 
@@ -126,7 +126,7 @@ class _Senders:
         steps = 1 if last is None else (count - last) % self._modulo
         passed = max(0.0, time_s - self._count_s) / self._cycle_s if last is not None else 1.0
         self._count_s = time_s
-        spare = max(0.0, self._spare_cycles - SLOWER * passed) + passed - steps
+        spare = max(0.0, self._spare_cycles - SLOWER_SHARE * passed) + passed - steps
         most = EARLY_CYCLES if self._stamped else HELD_UP_CYCLES
         self._spare_cycles = min(max(0.0, spare), most)
         moved = f"the cycle counter went from {last} to {count}"
@@ -286,12 +286,12 @@ class SampleAssembler:
 
     def _begins_in_mid_cycle(self) -> bool:
         """Whether samples without a counter are cut; the next one then waits for the pause."""
-        cut = not self._modulo and self._widest_pause_s > WIDER * self._pause_before_s
+        cut = not self._modulo and self._widest_pause_s > CUT_PAUSE_RATIO * self._pause_before_s
         self._cut = self._cut + 1 if cut else 0
         if self._cut < CUT_SAMPLES:
             return False
         self._cut = 0
-        self._awaited_pause_s = self._widest_pause_s / WIDER
+        self._awaited_pause_s = self._widest_pause_s / CUT_PAUSE_RATIO
         detail = (
             "samples held readings of two cycles; they begin at the pause between cycles again"
         )

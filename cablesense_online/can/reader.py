@@ -22,8 +22,8 @@ from cablesense_online.can.channel_map import Channel, ChannelMap, StuckLimits
 SCATTER_OF_READING_S = 0.1
 """Skew limit for frames that have the time of reading: any pause of the process would look late.
 No channel comes twice in a sample, so the order of frames limits the skew to one cycle."""
-SAME_CLOCK_S = 0.05
-"""Time stamps with a smaller lag come from this machine's clock, as SocketCAN's do."""
+SAME_CLOCK_LAG_S = 0.05
+"""Largest lag of arrival behind a time stamp of this machine's own clock, as SocketCAN's are."""
 HOLD_CYCLES = 2.0
 """A silence of this many cycles gives the held sample, as a next cycle would."""
 DRIFT = 200e-6
@@ -170,7 +170,7 @@ class BusClock:
             lag_s = min(lag_s, known_s + DRIFT * max(0.0, now_s - self._last_now_s))
         self._lag_s = lag_s
         self._last_now_s = now_s
-        return stamp_s if 0.0 <= lag_s <= SAME_CLOCK_S else stamp_s + lag_s
+        return stamp_s if 0.0 <= lag_s <= SAME_CLOCK_LAG_S else stamp_s + lag_s
 
 
 class TensionReader:

@@ -18,7 +18,6 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_base.progress import StagedProgress, staged_progress, status
 from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
-from cablesense_ros.cli.interrupted import resumable
 from cablesense_ros.cli.options import (
     ColumnsOption,
     EffortOption,
@@ -33,6 +32,7 @@ from cablesense_ros.cli.options import (
     print_json,
     refuse_given,
 )
+from cablesense_ros.cli.resumable import resumable
 
 if TYPE_CHECKING:
     from cablesense_gap.adaptation import Adaptation, AdaptedEstimator
@@ -92,7 +92,11 @@ def diagnose(
     context: typer.Context,
     recording: RecordingArgument,
     out: Annotated[
-        Path, typer.Option(help="Folder for verdict.json, report.html and amended_arm.yaml.")
+        Path,
+        typer.Option(
+            help="Folder for verdict.json, report.html, and amended_arm.yaml, or with --model "
+            "amended_model.xml and amended_model.json."
+        ),
     ],
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
@@ -148,10 +152,11 @@ def diagnose(
         with resumable(out, inputs, settings, console) as kept, _diagnosis_progress() as progress:
             recorded = read(recording)
             healthy = None if reference is None else read(reference)
-            of_reference = () if healthy is None else healthy.notes
-            notes = (*recorded.notes, *(f"Reference: {note}" for note in of_reference))
-            for note in notes:  # before the minutes that a fit may take
-                console.print(note, soft_wrap=True, markup=False, highlight=False)
+            said = (*recorded.notes, *recorded.warnings)
+            of_reference = () if healthy is None else (*healthy.notes, *healthy.warnings)
+            # before the minutes that a fit may take
+            for sentence in (*said, *(f"Reference: {each}" for each in of_reference)):
+                console.print(sentence, soft_wrap=True, markup=False, highlight=False)
             diagnosis = make(
                 recorded,
                 robot,
@@ -170,9 +175,10 @@ def diagnose(
         given = Given(str(recording), str(model), str(out), external=positions == "external")
         write_robot_diagnosis(out, diagnosis, given)
         verdict = diagnosis.verdict
-        findings = [text for text in diagnosis.findings if text not in recorded.notes]
+        sentences = (*diagnosis.warnings, *diagnosis.notes)
+        more = [sentence for sentence in sentences if sentence not in said]
         earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
-        lines = [*findings, headline(verdict), *earlier]
+        lines = [*more, headline(verdict), *earlier]
         lines += [line for line in (coverage_sentence(verdict), *verdict.doubts) if line]
         lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
@@ -312,7 +318,11 @@ def predict(
         sizes = ", ".join(
             f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in gaps
         )
-        lines = [f"{system.compared} Gap, of the measured values (RMS): {sizes}", *recorded.notes]
+        lines = [
+            f"{system.compared} Gap, of the measured values (RMS): {sizes}",
+            *recorded.notes,
+            *recorded.warnings,
+        ]
     if json_output:
         print_json({"out": str(out), **figures})
         return

@@ -285,8 +285,9 @@ def watch(
 
     def read_and_told(path: Path) -> Any:
         recording = read(path)
-        for note in recording.notes:
-            console.print(f"{path.name}: {note}", soft_wrap=True, markup=False, highlight=False)
+        said = recording.notes if model is None else (*recording.notes, *recording.warnings)
+        for each in said:
+            console.print(f"{path.name}: {each}", soft_wrap=True, markup=False, highlight=False)
         return recording
 
     recordings = map(read_and_told, later)

@@ -35,9 +35,12 @@ _HIGH = 0.975
 _Y = 1
 _Z = 2
 """Rows of the lateral components in a covariance (3, 3) of the force."""
-_BY_Y = 4
-_BY_Z = 5
-"""Rows of the moments by these in the covariance (6, 6) of place, force (3) and moments (2)."""
+_AROUND_Z = 4
+_AROUND_Y = 5
+"""Rows in the covariance (6, 6) of place, force (x, y, z), and lever times the force's y and z.
+
+The lever times a force along y is the moment around z, times one along z it is that around -y.
+"""
 _ZERO_VARIANCE_N2_M2 = 1e-18
 """Variance, (N·m)², that counts as zero: its root has no derivative there."""
 
@@ -106,10 +109,8 @@ class ContactStatement(nn.Module):
         self.to_covariance = constant(_to_covariance())
         self.around_axes = constant(np.array([[0.0, 1.0], [-1.0, 0.0]]))
         # where variances stand in covariances that are laid flat, (6, 6) and (3, 3)
-        around_y = _flat(_BY_Z, 6)  # a force along z has its moment around y
-        around_z = _flat(_BY_Y, 6)
         lateral = np.array([_flat(_Y, 3), _flat(_Z, 3)])
-        self.moment_variances = constant(np.array([around_y, around_z]))
+        self.moment_variances = constant(np.array([_flat(_AROUND_Y, 6), _flat(_AROUND_Z, 6)]))
         self.lateral_entries = constant(lateral)
         self.lateral_variances = constant(1 + lateral)  # behind the variance of the place
         self.grid_shape = (-1, 20, PLACES)
@@ -130,13 +131,18 @@ class ContactStatement(nn.Module):
         # the grid of the likeliest segment
         place_m = torch.minimum(torch.maximum(contact.place_m, self.low_m), self.high_m)
         rows = (
+            # values, 6 rows: place, force (x, y, z), and moments around z and around -y
             place_m,
             contact.force_n,
             contact.line_m * contact.force_n[:, :, 1:],
+            # weight, 1 row
             contact.weight,
+            # within a point of the grid, 10 rows: variance of place, covariance (3, 3) of force
             contact.place_variance_m2,
             contact.covariance_n2,
+            # square of the lever, 1 row
             contact.line_m**2,
+            # square and variance of the lateral force, 1 row each
             contact.lateral_squared_n2,
             contact.lateral_variance_n2,
         )

@@ -30,6 +30,8 @@ from tests.helpers.gap_recordings import (
 PROTOCOL = small_recording(peak_n=25.0)
 MASS = Term("payload", "segment_3", "mass_kg")
 MASS_KG = 0.5
+READ = ("Topics are those of a bag.",)
+"""What is said of a recording that nothing is wrong with."""
 
 
 def made(truth: Assignment, seed: int = 0, course: Recording = PROTOCOL) -> Recording:
@@ -54,7 +56,7 @@ def loaded() -> Diagnosis:
     recording = made({MASS: MASS_KG})
     load_n = recording.load_n.copy()
     load_n[26:28] = [0.0, 1500.0, 0.0]
-    return diagnose(replace(recording, load_n=load_n), LAB)
+    return diagnose(replace(recording, load_n=load_n, notes=READ), LAB)
 
 
 def test_withheld_trials_count_nowhere():
@@ -182,7 +184,9 @@ def test_perfect_sensors_and_a_load_that_the_arm_cannot_bear_are_refused_in_a_li
 def test_few_rows_that_the_nominal_arm_cannot_bear_are_left_out_and_reported():
     diagnosis = loaded()
     assert diagnosis.verdict.rows_used == len(PROTOCOL) - 2
-    assert any(text.startswith("rows 27 to 28: ") for text in diagnosis.findings)
+    assert any(text.startswith("rows 27 to 28: ") for text in diagnosis.warnings)
+    assert diagnosis.notes == READ
+    assert not set(READ) & set(diagnosis.warnings)
 
 
 OFFSET = Term("contact_offset", "segment_4", "offset_m")

@@ -36,7 +36,7 @@ def test_a_leap_of_time_does_not_change_the_verdict(tmp_path, table, seconds):
     diagnosis = diagnose(read_robot_recording(tmp_path / "leapt.csv", robot), robot)
     assert diagnosis.verdict.effects == ("joint_friction",)
     assert diagnosis.verdict.where.joints == ("elbow",)
-    assert any("the trial is parted there" in finding for finding in diagnosis.findings)
+    assert any("the trial is parted there" in note for note in diagnosis.notes)
 
 
 def test_the_chosen_topic_and_joints_with_colons_give_the_verdict(tmp_path, table, monkeypatch):

@@ -49,7 +49,7 @@ def rubbing(tmp_path_factory):
     channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     verdict = verdict_of("joint_friction", gap=gap, channels=channels, rows=9)
     in_floors = verdict.model_copy(update={"unit": "floors"})
-    return RobotDiagnosis(system, in_floors, amended, before, after, ("Compared.",), {})
+    return RobotDiagnosis(system, in_floors, amended, before, after, ("Compared.",), (), {})
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_the_measured_motion_is_that_of_the_recording(rubbing, clip):
 
 def test_a_model_that_is_not_amended_is_shown_once(rubbing):
     as_it_was = RobotDiagnosis(
-        rubbing.system, rubbing.verdict, {}, rubbing.before, rubbing.before, (), {}
+        rubbing.system, rubbing.verdict, {}, rubbing.before, rubbing.before, (), (), {}
     )
     (nominal,) = film.chosen_clip(as_it_was).predictions
     assert nominal.label == "nominal model"

@@ -116,6 +116,9 @@ def test_simulations_of_another_recording_are_not_taken(tmp_path):
     first.folder.mkdir(parents=True)
     np.save(first.folder / "asked.npy", np.zeros(3))
     assert KeptSimulations.of_command(tmp_path, [file], ["diagnose"]).count == 1
+    copy = tmp_path / "copied.csv"
+    copy.write_text("one", encoding="utf-8")
+    assert KeptSimulations.of_command(tmp_path, [copy], ["diagnose"]).count == 1
     file.write_text("two", encoding="utf-8")
     other = KeptSimulations.of_command(tmp_path, [file], ["diagnose"])
     assert other.count == 0

@@ -26,6 +26,10 @@ from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
 from cablesense_base import CableSenseError
+from cablesense_contact import LawModel, find_model
+from cablesense_contact.calibration import Calibrator
+from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import resolved
 from cablesense_msgs_py.topics import ContractError
@@ -196,6 +200,20 @@ def test_a_wrong_file_leaves_a_lifecycle_node_unconfigured(
     assert "cannot configure" in printed
     assert reason in printed
     assert "Traceback" not in printed
+
+
+def test_a_calibration_of_another_arm_leaves_the_estimator_unconfigured(
+    make_node, tmp_path, capfd
+):
+    other = open_arm("cdsm_lab")
+    law = LawModel(find_model("cdsm_lab_anywhere"), other)
+    path = tmp_path / "other.calibration"
+    write_calibration(path, Calibrator(FeltArm(other), law).by_tolerances())
+    node = make_node(EstimatorNode, given={"arm": "cdsm", "calibration_file": path})
+    node.autostart()
+    assert "not configured" in node._statuses()[0].message
+    (line,) = capfd.readouterr().err.strip().splitlines()
+    assert f"cannot configure: {path}: is of arm cdsm_lab" in line
 
 
 def test_depth_and_reliability_of_the_streams_can_be_overridden_and_nothing_else(make_node):

@@ -47,14 +47,20 @@ PAYLOAD = verdict_of(
 
 
 def found(
-    verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=(), counted=True
+    verdict,
+    recording=SMALL,
+    before_n=NOISE - 3.0,
+    after_n=NOISE,
+    notes=(),
+    warnings=(),
+    counted=True,
 ):
     """A diagnosis with such residuals before and after, negated."""
     before_n = recording.tensions_n + before_n
     after_n = recording.tensions_n + after_n
     rows = np.broadcast_to(counted, len(recording))
     known = expected_parameters(LAB)
-    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, known, findings)
+    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, known, notes, warnings)
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +118,22 @@ def test_the_picture_of_the_worst_trial_has_its_number_whatever_that_is(monkeypa
     title = of_trial.get_title()
     plt.close(figure)
     assert f"trial {numbers[1]}, where its gap is largest" in title
+
+
+def test_what_was_read_of_a_bag_is_no_reason_to_check_it(text_of):
+    note = "Topics are /cable_tensions, /commands and /loads."
+    text = text_of(PAYLOAD, notes=(note,))
+    assert note in text
+    assert "Check the recording first" not in text
+    assert "Nothing was missing" in text
+
+
+def test_a_warning_comes_before_what_to_do(text_of):
+    text = text_of(PAYLOAD, notes=("Topics are these.",), warnings=("cable_3 stands still",))
+    first, rest = text.split("Check the recording first.")
+    assert "Topics are these." in first
+    assert rest.strip().startswith("cable_3 stands still")
+    assert "Nothing was missing" not in text
 
 
 def test_none_keeps_the_arm_and_shows_nothing_amended(text_of):
@@ -229,6 +251,15 @@ def test_the_report_has_a_verdict_by_cable(text_of):
     assert "the gap goes from 3.10 N to 2.10 N." in text
 
 
+def test_a_candidate_beside_something_unlisted_has_another_name(text_of):
+    alone, other = PAYLOAD.candidates
+    beside = alone.model_copy(update={"unlisted": True, "probability": 0.05})
+    text = text_of(PAYLOAD.model_copy(update={"candidates": (beside, alone, other)}))
+    listed = text.split("The candidates")[1]
+    assert "payload + something unlisted 1.000" in listed
+    assert "payload 1.000" in listed
+
+
 @pytest.mark.parametrize(
     ("effects", "after_n", "words"),
     [
@@ -262,7 +293,7 @@ def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path, m
     draw_no_pictures(monkeypatch)
     folder = tmp_path / "new" / "diagnosis"
     heavier = amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {})
-    diagnosis = replace(found(PAYLOAD, findings=("cable_3 stands still",)), amended=heavier)
+    diagnosis = replace(found(PAYLOAD, warnings=("cable_3 stands still",)), amended=heavier)
     write_diagnosis(folder, diagnosis)
     assert read_verdict(folder / "verdict.json") == PAYLOAD
     amended = folder / "amended_arm.yaml"

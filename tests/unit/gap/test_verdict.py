@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from cablesense_gap.report.text import headline
 from cablesense_gap.verdict import (
     CandidateResult,
     EstimatorErrors,
@@ -64,6 +65,12 @@ def test_a_verdict_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert "null" not in path.read_text()
 
 
+def against(**shares: float) -> dict[str, Any]:
+    """A reference that covers these shares of the channels."""
+    coverage = {name: {"share": share} for name, share in shares.items()}
+    return {"recording": "healthy", "before_n": 1.0, "left_n": 0.5, "coverage": coverage}
+
+
 def none_with(probability: float) -> dict[str, Any]:
     return {"effects": ["none"], "held_out_rmse_n": 1.0, "probability": probability}
 
@@ -88,6 +95,9 @@ def none_with(probability: float) -> dict[str, Any]:
         ({"confidence": 0.9}, "confidence"),
         ({"candidates": [none_with(0.6)] * 2}, "add up"),
         ({"candidates": [none_with(0.2)] * 2}, "twice"),
+        ({"effects": ["cannot_tell"]}, "against a reference"),
+        ({"effects": ["cannot_tell"], "reference": against()}, "less than 50% is covered"),
+        ({"effects": ["cannot_tell"], "reference": against(cable_1=0.7)}, "reference.coverage"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(
@@ -99,6 +109,12 @@ def test_what_cannot_be_is_refused_in_one_line(
         read_verdict(path)
     assert str(refused.value).startswith(f"{path}: ")
     assert "\n" not in str(refused.value)
+
+
+def test_a_verdict_that_cannot_tell_has_a_first_line(tmp_path: Path) -> None:
+    path = tmp_path / "verdict.json"
+    path.write_text(written(effects=["cannot_tell"], reference=against(cable_1=0.7, cable_2=0.1)))
+    assert "which covers 10 % of cable 2:" in headline(read_verdict(path))
 
 
 @pytest.mark.parametrize(

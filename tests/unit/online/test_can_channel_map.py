@@ -176,6 +176,20 @@ def test_a_dbc_that_does_not_fit_is_refused_for_its_cable(old, new, refusal):
         check_fit(PACKED, parse_database(TEXT.replace(old, new)))
 
 
+def test_a_message_whose_signals_take_turns_is_refused_in_one_line():
+    text = """VERSION ""
+BO_ 1 A: 8 X
+ SG_ PAGE M : 0|8@1+ (1,0) [0|0] "" X
+ SG_ S1 m0 : 8|16@1- (1,0) [0|0] "N" X
+ SG_ S2 m1 : 8|16@1- (1,0) [0|0] "N" X
+"""
+    with pytest.raises(ChannelMapError, match="channel cable_1: message A is multiplexed") as told:
+        check_fit(ChannelMap.model_validate(GIVEN), parse_database(text), "mine.dbc")
+    assert str(told.value).startswith("mine.dbc: ")
+    assert "it must be a plain message" in str(told.value)
+    assert "\n" not in str(told.value)
+
+
 def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
     channel = channel_map.channels[cable]
     unit, factor, offset = signal_conversion(database, channel)

@@ -51,6 +51,37 @@ def test_scale_and_zero_are_applied_and_names_may_be_crossed(ledger):
     assert readings[1] == pytest.approx(40.0)
 
 
+BIG_ENDIAN = """VERSION ""
+BO_ 256 FORCES: 8 AMPLIFIER
+ SG_ FORCE_1 : 7|16@0- (0.01,0) [0|0] "N" DRIVER
+ SG_ FORCE_2 : 23|24@0- (0.001,0) [0|0] "N" DRIVER
+ SG_ FORCE_3 : 47|24@0+ (0.001,0) [0|0] "N" DRIVER
+"""
+"""Three values side by side, the highest byte of each first."""
+
+
+@pytest.mark.parametrize(
+    ("data", "tensions_n"),
+    [
+        ("12 c0 00 ce 64 01 00 00", [48.0, 52.836, 65.536]),
+        ("ff 9c ff ff 9c 7f ff ff", [-1.0, -0.1, 8388.607]),
+    ],
+)
+def test_values_whose_highest_byte_comes_first_are_decoded(ledger, data, tensions_n):
+    channels = {
+        f"cable_{number}": Channel(message="FORCES", signal=f"FORCE_{number}")
+        for number in (1, 2, 3)
+    }
+    big_endian = PACKED.model_copy(
+        update={"channels": channels, "counter": None, "range_n": (-10.0, 10_000.0)}
+    )
+    decoder = FrameDecoder(big_endian, parse_database(BIG_ENDIAN), ledger)
+    sent = can.Message(arbitration_id=256, is_extended_id=False, data=bytes.fromhex(data))
+    decoded = decoder.decode(sent)
+    assert decoded.valid
+    assert dict(decoded.readings) == pytest.approx(dict(enumerate(tensions_n)))
+
+
 @pytest.mark.parametrize(
     ("raw", "fault"), [(32767, FaultKind.OVER_RANGE), (-32768, FaultKind.UNDER_RANGE)]
 )

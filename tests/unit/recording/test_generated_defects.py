@@ -65,7 +65,7 @@ def said_of_robot(path, robot):
         prepared(recording, robot)
         return " ".join(wrong_columns(recording, robot))
 
-    return " ".join(recording.notes), said_by_model, numbers
+    return " ".join([*recording.notes, *recording.warnings]), said_by_model, numbers
 
 
 def said_of_arm(path, _):

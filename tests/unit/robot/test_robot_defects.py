@@ -211,7 +211,8 @@ def test_a_defect_is_named_and_a_leap_of_time_takes_no_memory(
     with traced(wanted="leaps over" in noted) as peak_bytes:
         recording = read_robot_recording(path, robot)
         motion = prepared(recording, robot)
-    assert any(re.search(noted, note) for note in recording.notes)
+    said = (*recording.notes, *recording.warnings)
+    assert any(re.search(noted, each) for each in said)
     assert all(each < MOST_BYTES for each in peak_bytes)
     assert sum(len(each.time_s) for each in motion.trials) <= 1.1 * len(recording)
 
@@ -228,8 +229,8 @@ def test_a_dead_channel_is_used_if_the_user_insists(tmp_path, table, robot):
     path = as_csv(tmp_path / "dead", held("torque.elbow", 700)(table))
     with pytest.raises(RecordingError, match="or continue with --force"):
         read_robot_recording(path, robot)
-    notes = read_robot_recording(path, robot, force=True).notes
-    assert any("torque.elbow is" in note for note in notes)
+    warnings = read_robot_recording(path, robot, force=True).warnings
+    assert any("torque.elbow is" in warning for warning in warnings)
 
 
 def test_a_constant_torque_is_not_compared(tmp_path, table, robot):
@@ -245,7 +246,7 @@ def test_a_joint_without_a_drive_has_no_torque_rightly(tmp_path, table):
     path = as_csv(tmp_path / "passive", in_rows("torque.elbow", slice(None), 0.0)(table))
     recording = read_robot_recording(path, load_robot(model))
     assert (recording.torque[:, 1] == 0.0).all()
-    assert not any("torque" in note for note in recording.notes)
+    assert not any("torque" in warning for warning in recording.warnings)
 
 
 @pytest.mark.parametrize("labels", [("shoulder",), ("shoulder", "elbow")])
@@ -256,4 +257,4 @@ def test_drives_that_hold_a_torque_at_rest_are_well(tmp_path, table, robot, labe
         for kind in ("position", "torque"):
             resting = held(f"{kind}.{label}", 400, 800)(resting)
     recording = read_robot_recording(as_csv(tmp_path / "rest", resting), robot)
-    assert not any("torque" in note for note in recording.notes)
+    assert not any("torque" in warning for warning in recording.warnings)

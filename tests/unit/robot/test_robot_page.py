@@ -58,10 +58,32 @@ def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
     named = verdict_of(effects, gap=gap, channels=channels, rows=9, **more)
     named = named.model_copy(update={"unit": "floors"})
     nothing = np.zeros_like(system.readings)
-    diagnosis = RobotDiagnosis(system, named, {}, nothing, nothing, (), {})
+    note = "Trials by their column."
+    diagnosis = RobotDiagnosis(system, named, {}, nothing, nothing, (note,), (), {})
     page = " ".join(robot_page(diagnosis, "folder").split())
+    assert note in page
+    assert "Check the recording first" not in page
     assert says in page
     assert never not in page
+
+
+def test_the_report_warns_of_what_looks_wrong(tmp_path):
+    robot = load_robot(write_model(tmp_path))
+    table = pd.read_csv(recorded(tmp_path / "recording.csv", trials=6))
+    table.assign(**{"torque.elbow": 0.37}).to_csv(tmp_path / "dead.csv", index=False)
+    recording = read_robot_recording(tmp_path / "dead.csv", robot)
+    (warning,) = recording.warnings
+    system = RobotSystem(robot, prepared(recording, robot), {})
+    verdict = verdict_of("none", gap=gap_of(1.2, 1.1, 1.0), rows=9)
+    verdict = verdict.model_copy(update={"unit": "floors"})
+    nothing = np.zeros_like(system.readings)
+    made = RobotDiagnosis(
+        system, verdict, {}, nothing, nothing, recording.notes, recording.warnings, {}
+    )
+    page = " ".join(robot_page(made, "folder").split())
+    before, after = page.split("Check the recording first.")
+    assert recording.notes[0] in before
+    assert warning in after
 
 
 def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):

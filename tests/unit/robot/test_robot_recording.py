@@ -83,7 +83,7 @@ def test_with_force_a_drum_may_turn_far(tmp_path, table, robot):
     with pytest.raises(RecordingError, match="continue with --force"):
         read_robot_recording(tmp_path / "drum.csv", robot)
     recording = read_robot_recording(tmp_path / "drum.csv", robot, force=True)
-    assert any("degrees given?" in note for note in recording.notes)
+    assert any("degrees given?" in warning for warning in recording.warnings)
 
 
 def test_without_torques_and_commands_nothing_can_be_compared(tmp_path, table, robot):

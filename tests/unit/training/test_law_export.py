@@ -8,8 +8,10 @@ import torch
 
 from cablesense_contact.inference.session import open_session
 from cablesense_contact.law import GRAPH_INPUTS, LawOutput
+from cablesense_contact.machine.law import STATED
 from cablesense_sim.arm import open_arm
 from cablesense_training.law.estimator import EstimatorOutput
+from cablesense_training.law.statement import Statement
 from cablesense_training.law_export import _to_onnx
 from tests.helpers.law_arms import LawArm, Push
 
@@ -82,3 +84,4 @@ def test_the_graph_answers_as_pytorch_does(law, given, session, rows):
 
 def test_outputs_in_pytorch_have_the_order_of_those_in_a_file():
     assert EstimatorOutput._fields == LawOutput._fields
+    assert Statement._fields == STATED

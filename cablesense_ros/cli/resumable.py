@@ -1,4 +1,4 @@
-"""Verbs that go on where the same command was interrupted."""
+"""Runs that go on where the same command was interrupted (`KeptSimulations.of_command`)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def resumable(
 ) -> Iterator[KeptSimulations]:
     """What the same command has simulated before it was interrupted; deleted at a good end.
 
-    `inputs` and `settings` are those on which the result depends. Prints whether it goes on, and
-    where it is interrupted, how it will.
+    `inputs` and `settings` are those on which predictions depend, so no processes and no --force.
+    Prints whether it goes on, and where it is interrupted, how it will.
     """
     from cablesense_gap.kept_simulations import KeptSimulations
 
