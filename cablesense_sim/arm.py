@@ -135,7 +135,8 @@ class Touch(FilePart):
     `friction` is the Coulomb coefficient there. With a radius of zero contacts act on the axis;
     with a friction of zero they do so with any axial force.
     `reach_m` is the range on each segment that can be touched, from its joint centre; by default
-    all of its length.
+    all of its length. Inside the code it is `touched_m`, one range for each segment
+    (`cablesense_sim.touch`).
     """
 
     radius_m: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None
