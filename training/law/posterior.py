@@ -50,8 +50,10 @@ RADIUS_STD = 18.0**-0.5
 
 _SMALLEST_LATERAL_N = 0.05
 """Lateral forces count as no smaller where something is divided by them or scales with them."""
-PLACES = 33
-"""Places of a segment's grid."""
+GRID_POINTS = 33
+"""Number of points of a segment's grid, on which the place of a contact is integrated."""
+PLACES = GRID_POINTS
+"""As the statement calls them."""
 _GRID_HALF_WIDTH_STD = 5.0
 """Standard deviations of the place that the grid covers to each side."""
 _BEYOND_ENDS_STD = 3.0
@@ -133,9 +135,9 @@ class PosteriorOfContact(nn.Module):
         self.ends_m = constant(np.concatenate([low, high], axis=1))
         self.first_m = constant(low - offset)
         self.last_m = constant(high + offset)
-        self.shares = constant(np.linspace(0.0, 1.0, PLACES))
+        self.shares = constant(np.linspace(0.0, 1.0, GRID_POINTS))
         self.coefficients = (-1, len(touched_m), len(_ENTRIES) + 3, 2)
-        self.matrices = (-1, len(touched_m), 3, 3, PLACES)
+        self.matrices = (-1, len(touched_m), 3, 3, GRID_POINTS)
         fixed, by_place = _rows_of_fits()
         self.fixed_rows = constant(fixed)
         self.by_place_rows = constant(by_place)
@@ -222,7 +224,7 @@ class PosteriorOfContact(nn.Module):
         scale = determinant * density / axial_precision
         log_density = 0.5 * (gain - torch.log(scale))
 
-        step = span / (PLACES - 1)
+        step = span / (GRID_POINTS - 1)
         place = s
         place_variance = step**2 / 12.0 + 0.0 * s
         if self.on_surface:
