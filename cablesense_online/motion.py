@@ -28,7 +28,7 @@ _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _SETTLED = 3.0
 """Exponent by which a swing falls within `settle_s`: to a twentieth."""
-_SWINGS = 2.0
+_SETTLES_REMEMBERED = 2.0
 """A swing is forgotten after this many times `settle_s`."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
@@ -272,7 +272,7 @@ class MotionGate:
         return replace(motion, swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
 
     def _swings(self, motion: CommandedMotion) -> bool:
-        return motion.last_ns - motion.swung_ns < _SWINGS * self._settle_ns
+        return motion.last_ns - motion.swung_ns < _SETTLES_REMEMBERED * self._settle_ns
 
     def _left_of_swing(self, motion: CommandedMotion) -> float:
         passed_s = (motion.last_ns - motion.swung_ns) * 1e-9
