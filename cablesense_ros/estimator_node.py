@@ -51,7 +51,7 @@ STALE_CHECK_S = 0.02
 
 
 class EstimatorNode(ConfiguredNode):
-    """Configured: model and arm loaded. Active: every sample is answered with a wrench."""
+    """Configured: model and arm loaded. Active: samples are answered."""
 
     def __init__(self) -> None:
         super().__init__("estimator")
