@@ -53,6 +53,11 @@ class EstimationSettings(BaseModel):
     unknown_force: Literal["zero", "nan", "none"] = "zero"
     hidden_above_n: _NotNegative = 1.0
 
+    @property
+    def settle_ns(self) -> int:
+        """`settle_s` in whole nanoseconds, as stamps are."""
+        return round(self.settle_s * 1e9)
+
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
 """These may change while an estimator runs."""
