@@ -32,7 +32,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState
-from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
+from cablesense_msgs_py.qos import PUBLISHER_QOS, SENSOR_QOS, Qos
 from cablesense_msgs_py.serialized import restamped
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
@@ -60,8 +60,10 @@ class RelayNode(Node):
 
     def __init__(self) -> None:
         super().__init__("relay")
-        publisher = self.create_publisher(JointState, "relay_out", qos_profile(PUBLISHER))
-        self.create_subscription(JointState, "relay_in", publisher.publish, qos_profile(SENSOR))
+        publisher = self.create_publisher(JointState, "relay_out", qos_profile(PUBLISHER_QOS))
+        self.create_subscription(
+            JointState, "relay_in", publisher.publish, qos_profile(SENSOR_QOS)
+        )
 
 
 def publish_all(blocks: int, file: Path) -> None:
@@ -69,7 +71,7 @@ def publish_all(blocks: int, file: Path) -> None:
     rclpy.init()
     node = Node("source")
     publishers = {
-        path: node.create_publisher(JointState, f"{path}_in", qos_profile(PUBLISHER))
+        path: node.create_publisher(JointState, f"{path}_in", qos_profile(PUBLISHER_QOS))
         for path in PATHS
     }
     wait_until(

@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import COMMAND
+from cablesense_msgs_py.qos import COMMAND_QOS
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.executor import make_executor
 from cablesense_ros.processes import Process, own_graph
@@ -129,7 +129,7 @@ class Operator(SpunNode):
         self._mechanism = mechanism_of(self.arm)
         self.segment = 1
         self.force_n = np.zeros(3)
-        qos = qos_profile(COMMAND)
+        qos = qos_profile(COMMAND_QOS)
         self._loads = self.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, qos)
         self._commands = self.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
 

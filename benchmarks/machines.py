@@ -221,13 +221,13 @@ class Bench:
         by[3, 5] = radius_m * x / lateral_n
         by_unknowns = seen.by_torque @ columns.T @ by
         information = by_unknowns.T @ seen.information @ by_unknowns
-        reach_m = float(np.diff(links.touched_m[contact.link])[0])
+        span_m = float(np.diff(links.touched_m[contact.link])[0])
         spreads = np.array(
             [
                 touch.friction * lateral_n,
                 touch.largest_n,
                 touch.largest_n,
-                reach_m / np.sqrt(12.0),
+                span_m / np.sqrt(12.0),
                 touch.friction * radius_m * lateral_n,
                 1.0 / np.sqrt(12.0),
             ]

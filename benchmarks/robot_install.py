@@ -29,7 +29,7 @@ from live_run import LiveRun, SpunNode
 from packaging.requirements import Requirement
 from sensor_msgs.msg import JointState
 
-from cablesense_msgs_py.qos import PUBLISHER, Qos
+from cablesense_msgs_py.qos import PUBLISHER_QOS, Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import node_command
 from cablesense_sim.arm import open_arm
@@ -86,7 +86,7 @@ class Source(SpunNode):
         at_rest_rad = [0.0] * arm.joint_count
         self._tensions_n = solve_equilibrium(mechanism_of(arm), at_rest_rad).tensions_n.tolist()
         self._names = list(arm.cable_names)
-        qos = qos_profile(PUBLISHER)
+        qos = qos_profile(PUBLISHER_QOS)
         self._readings = self.create_publisher(JointState, "cable_tensions", qos)
         every = qos_profile(Qos(depth=1000, reliable=True))
         self.create_subscription(WrenchStamped, "estimator/wrench", self._note, every)

@@ -183,7 +183,7 @@ class TestedArm(EstimatedArm):
         self.truth: Truth = AsDescribed(self.mechanism)
         if built:
             self.truth = AsBuilt(_nominal(name), rng)
-        self.reach_m = touched_places(self.arm).touched_m
+        self.touched_m = touched_places(self.arm).touched_m
         self.joint_m = np.concatenate([[0.0], np.cumsum(self.mechanism.segment_length_m)[:-1]])
         self._now_s = 0.0
         self._go_to(np.zeros(len(command_rad)))
@@ -239,7 +239,7 @@ class TestedArm(EstimatedArm):
             angle = rng.uniform(0.0, 2.0 * np.pi)
             along = rng.uniform(-AXIAL_SHARE, AXIAL_SHARE)
             force_n = size_n * np.array([along, np.sin(angle), np.cos(angle)])
-            touches.append(Touch(n + 1, rng.uniform(*self.reach_m[n]), force_n))
+            touches.append(Touch(n + 1, rng.uniform(*self.touched_m[n]), force_n))
         return touches
 
     def cables(self, count: int) -> list[int]:
@@ -418,7 +418,7 @@ def healthy_samples(name: str, given: argparse.Namespace, largest_n: float) -> d
             n = int(rng.integers(arm.arm.segment_count))
             angle = rng.uniform(0.0, 2.0 * np.pi)
             force_n = rng.uniform(0.0, largest_n) * np.array([0.0, np.sin(angle), np.cos(angle)])
-            tensions_n = arm.tensions_n([Touch(n + 1, rng.uniform(*arm.reach_m[n]), force_n)])
+            tensions_n = arm.tensions_n([Touch(n + 1, rng.uniform(*arm.touched_m[n]), force_n)])
             if tensions_n is None:
                 continue
             force_states = [arm.next(arm.read(tensions_n)).force for _ in range(READINGS)]

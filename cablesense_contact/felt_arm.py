@@ -17,6 +17,7 @@ from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, of_each_segment
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.joint_motion import SUDDEN_OVER_STEADY
 from cablesense_sim.kinematics import contact_torques
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
@@ -28,8 +29,6 @@ _KNOWN_N = 1.0
 """A force is known if half of its interval is below this."""
 _SLACK_BELOW_STD = 4.0
 """An unloaded reading below this many deviations of a sensor's zero may be of a slack cable."""
-_SWING = 2.0
-"""A sudden acceleration swings an undamped arm by twice what a steady one bends it."""
 
 
 class FeltArm:
@@ -122,7 +121,7 @@ class FeltArm:
 
     def unrest(self, speed_rad_s: Array, swing_rad_s2: Array) -> Array:
         """(2N, 2N) covariance of the torques of inertia and damping, as large as they are."""
-        swing_n_m = _SWING * self._inertia_kg_m2 * swing_rad_s2
+        swing_n_m = SUDDEN_OVER_STEADY * self._inertia_kg_m2 * swing_rad_s2
         damping_n_m = self._mechanism.joint_damping_n_m_s * speed_rad_s
         return np.asarray(swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2))
 

@@ -25,10 +25,10 @@ from cablesense_contact.law import LawOutput
 
 # Who changes a prior or a limit here measures `benchmarks/built_arms.py` and `benchmarks/trust.py`
 # with fresh seeds before and after: docs/development.md, "A prior or a limit of the estimate".
-LOG_PRIOR_WRENCH = math.log(0.01)
-"""Of several contacts or a couple on one segment, against a single contact."""
-LOG_PRIOR_SEVERAL = math.log(0.01)
-"""Of contacts on several segments, against a single contact."""
+LOG_PRIOR_SEVERAL_ON_ONE_LINK = math.log(0.01)
+"""Of several contacts or a couple on one and the same link, against a single contact."""
+LOG_PRIOR_ON_SEVERAL_LINKS = math.log(0.01)
+"""Of contacts on more links than one, against a single contact."""
 LOG_PRIOR_FAULT = math.log(1e-3)
 """That some channel is wrong now, against none: a fault a day lasts minutes until it is seen."""
 LOG_PRIOR_EXCHANGED = math.log(1e-4)
@@ -139,7 +139,7 @@ class Judge:
 
         known = self._force_is_known(seen, segment)
         rivals = sorted(
-            self._rivals_of(seen, touched=touched, known=known),
+            self._rivals_of_stated(seen, touched=touched, known=known),
             key=lambda rival: -rival.log_weight,
         )
         best = rivals[0]
@@ -212,16 +212,22 @@ class Judge:
         least_n = abs(along_n) - NORMAL_95 * along_std_n
         return self._friction > 0.0 and least_n > self._friction * math.hypot(y, z)
 
-    def _rivals_of(self, seen: LawOutput, *, touched: bool, known: bool) -> Iterator[_Rival]:
-        """What else than the likelier of "a contact" and "nothing" may be behind the reading."""
+    def _rivals_of_stated(
+        self, seen: LawOutput, *, touched: bool, known: bool
+    ) -> Iterator[_Rival]:
+        """What else may be behind the reading than the likelier of "a contact" and "nothing".
+
+        Where a contact is stated (`touched`), "nothing" is one of its rivals. Where of its force
+        the moment alone is stated (not `known`), what has the same moment is none.
+        """
         if touched:
             yield _Rival(0.0, 0.0, "nothing touches the arm")
-        for rival in self._rivals(seen):
+        for rival in self._neither_one_contact_nor_nothing(seen):
             if known or not rival.same_moment:
                 yield rival
 
-    def _rivals(self, seen: LawOutput) -> Iterator[_Rival]:
-        """What is neither one contact nor nothing."""
+    def _neither_one_contact_nor_nothing(self, seen: LawOutput) -> Iterator[_Rival]:
+        """Faults, exchanged channels and several contacts: rivals of whatever is stated."""
         each = LOG_PRIOR_FAULT - math.log(len(self._names))
         faulty = seen.faulty_evidence[0]
         channel = int(faulty.argmax())
@@ -256,7 +262,7 @@ class Judge:
         if not self._is_one_place.all():
             wrench = np.where(self._is_one_place, -np.inf, seen.segment_evidence[0])
             segment = int(wrench.argmax())
-            weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
+            weight = float(wrench[segment]) + LOG_PRIOR_SEVERAL_ON_ONE_LINK
             yield _Rival(
                 weight,
                 weight,
@@ -264,7 +270,7 @@ class Judge:
                 same_moment=segment == int(seen.contact_evidence[0].argmax()),
             )
         if len(self._links) > 1:
-            weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
+            weight = float(seen.several_evidence[0]) + LOG_PRIOR_ON_SEVERAL_LINKS
             yield _Rival(weight, weight, "contacts on several segments")
 
 

@@ -65,7 +65,7 @@ class ReferenceLoads(NamedTuple):
         link: (T,) numbers of the links, from 0 on.
         place_m: (T,) along them.
         direction: (T, 3) of the forces, in the links' axes.
-        reach_m: (T, 2) where such a link is touched.
+        touched_m: (T, 2) where such a link is touched.
     """
 
     force_n: float
@@ -74,7 +74,7 @@ class ReferenceLoads(NamedTuple):
     link: NDArray[np.int64]
     place_m: Array
     direction: Array
-    reach_m: Array
+    touched_m: Array
 
 
 class KnownForce(NamedTuple):
@@ -104,9 +104,9 @@ class ReferenceContacts:
     def __init__(self, contacts: ReferenceLoads, torque_count: int) -> None:
         """`torque_count` is T, of the machine that bears the contacts."""
         self._loads = contacts
-        reach_m = contacts.reach_m
-        variances = np.empty((len(reach_m), 4))
-        variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
+        touched_m = contacts.touched_m
+        variances = np.empty((len(touched_m), 4))
+        variances[:, 0] = (touched_m[:, 1] - touched_m[:, 0]) ** 2 / 12.0
         variances[:, 1] = (_AXIAL_STD * contacts.force_n) ** 2
         variances[:, 2:] = (_LATERAL_STD * contacts.force_n) ** 2
         self.prior_precision = np.eye(4) / variances[:, None]
@@ -141,7 +141,7 @@ class ReferenceContacts:
             link=segment,
             place_m=mechanism.contact_m[segment],
             direction=direction,
-            reach_m=touched_places(arm).touched_m[segment],
+            touched_m=touched_places(arm).touched_m[segment],
         )
         return cls(loads, arm.joint_count)
 

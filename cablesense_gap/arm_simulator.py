@@ -146,20 +146,20 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     for axis in range(2):
         mirrored_rad = equilibrium_rad.copy()
         mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - equilibrium_rad)[:, axis::2]
-        others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
+        others.append(replay.searching_from(mirrored_rad).readings_n([[]], predicted_n)[0])
     for step in (1, -1):
-        follower = replay.begun_at(equilibrium_rad)
+        follower = replay.searching_from(equilibrium_rad)
         followed_n = direct_n
         for _ in range(_FOLLOWED_ROWS):
             before_n = followed_n
             begin_rad = np.roll(follower.equilibrium_rad, step, axis=0)
-            follower = follower.begun_at(begin_rad)
+            follower = follower.searching_from(begin_rad)
             followed_n = follower.readings_n([[]], predicted_n)[0]
             if np.abs(followed_n - before_n).max() < _SAME_N:
                 break
         others.append(followed_n)
     off = np.abs(np.array(others) - direct_n).max(axis=(0, 2)) >= _SAME_N
-    off = np.isin(replay.alike, replay.alike[off])
+    off = np.isin(replay.group_of_row, replay.group_of_row[off])
     same = ~(off | np.append(off[1:], False) | np.append(False, off[:-1]))
     similar = replay.readings_n(_similar_arms(arm), predicted_n)
     scatter_n = np.sqrt((np.subtract(similar, direct_n) ** 2).mean(0)).max(-1)

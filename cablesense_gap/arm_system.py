@@ -59,12 +59,21 @@ class ArmSystem(ArmSimulator, System):
     and those of the trials `unseen` do not.
     """
 
-    def __init__(self, arm: Arm, recording: Recording, unseen: Collection[int] = ()) -> None:
-        """`recording` holds the rows to use; `unseen` are numbers of trials."""
+    def __init__(
+        self,
+        arm: Arm,
+        recording: Recording,
+        unseen: Collection[int] = (),
+        recorded_row_count: int | None = None,
+    ) -> None:
+        """`recording` holds the rows to use; `unseen` are numbers of trials.
+
+        `recorded_row_count` is that of the whole recording, by default of the rows to use.
+        """
         super().__init__(arm, recording)
         self.name = arm.name
         self.recording_name = recording.name
-        self.row_count = len(recording)
+        self.recorded_row_count = recorded_row_count or len(recording)
         self.recording = recording
         self._unseen = tuple(unseen)
         self.readings = recording.tensions_n
@@ -81,9 +90,8 @@ class ArmSystem(ArmSimulator, System):
 
     def with_listed(self, values: Assignment) -> ArmSystem:
         """The same arm with these values listed behind the effects of its file."""
-        system = ArmSystem(amended_arm(self.arm, {}, values), self.recording, self._unseen)
-        system.row_count = self.row_count
-        return system
+        listing = amended_arm(self.arm, {}, values)
+        return ArmSystem(listing, self.recording, self._unseen, self.recorded_row_count)
 
     def conditions(self) -> Conditions:
         """Lengths of cable, the direction in which cable slides, and nominal tensions."""
@@ -345,7 +353,7 @@ def _checked_system(
     """
     refuse_unusable(recording, check_recording(recording, arm))
     rows = rows_to_use(recording)
-    system = ArmSystem(arm, recording.rows(rows), unseen)
+    system = ArmSystem(arm, recording.rows(rows), unseen, len(recording))
     unsupported = np.zeros(len(recording), dtype=bool)
     if not np.isfinite(system.nominal_n).all():
         used = system.recording
@@ -355,8 +363,7 @@ def _checked_system(
             replay_arm(arm, used.course)
         unsupported[rows[~supported]] = True
         rows = rows[supported]
-        system = ArmSystem(arm, recording.rows(rows), unseen)
-    system.row_count = len(recording)
+        system = ArmSystem(arm, recording.rows(rows), unseen, len(recording))
     findings = check_recording(recording, arm, system.nominal_n, rows)
     refuse_unusable(recording, findings, force=force)
     if unsupported.any():

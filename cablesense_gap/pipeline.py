@@ -470,7 +470,7 @@ def _verdict(
         candidates=candidate_results(naming.stated),
         why=account.reasons if values else (*inexact, *account.reasons),
         recording=system.recording_name,
-        rows=system.row_count,
+        rows=system.recorded_row_count,
         rows_used=len(problem.trial),
         rows_counted=int(problem.used.sum()),
         arm=system.name,

@@ -183,10 +183,10 @@ def load_places_m(arm: Arm) -> Array:
 
     All are within the range of `touched_places`, in whole mm, so that a person can measure them.
     """
-    contact_range_m = touched_places(arm).touched_m
-    inside = _FROM_THE_ENDS * (contact_range_m[:, 1] - contact_range_m[:, 0])
-    near = contact_range_m[:, 0] + inside
-    far = contact_range_m[:, 1] - inside
+    touched_m = touched_places(arm).touched_m
+    inside = _FROM_THE_ENDS * (touched_m[:, 1] - touched_m[:, 0])
+    near = touched_m[:, 0] + inside
+    far = touched_m[:, 1] - inside
     middle = np.clip(mechanism_of(arm).contact_m, near, far)
     return np.asarray(np.round(np.stack([near, middle, far], axis=1), 3))
 

@@ -58,7 +58,7 @@ class System(ABC):
     Attributes:
         name: of the nominal machine.
         recording_name: of its recording.
-        row_count: of the whole recording, of which R rows are used.
+        recorded_row_count: of the whole recording, of which R rows are used.
         readings: (R, C) as measured.
         trial: (R,) number of each row's trial, or of its part of one.
         fold: (T,) fold of each of them, in the order of their numbers.
@@ -75,7 +75,7 @@ class System(ABC):
 
     name: str
     recording_name: str
-    row_count: int
+    recorded_row_count: int
     readings: Array
     trial: NDArray[np.int64]
     fold: NDArray[np.int64]

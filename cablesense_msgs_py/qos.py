@@ -23,18 +23,18 @@ class Qos:
     lease_s: float = 0.0
 
 
-PUBLISHER: Final = Qos(depth=10, reliable=True)
+PUBLISHER_QOS: Final = Qos(depth=10, reliable=True)
 """Every output: the system default, so that reliable and best-effort subscribers both match."""
-WRENCH: Final = Qos(depth=10, reliable=True, lease_s=0.05)
+WRENCH_QOS: Final = Qos(depth=10, reliable=True, lease_s=0.05)
 """The estimator's answer: as every output, and a subscriber that asks for a liveliness lease of
 0.05 s or more is notified by its own middleware when the estimator's process has died."""
-SENSOR: Final = Qos(depth=100, reliable=False)
+SENSOR_QOS: Final = Qos(depth=100, reliable=False)
 """High-rate input: sensor data, best effort. A tenth of a second at 1 kHz, so that a short pause
 of a process loses no sample, and one that cannot keep up answers no stale ones: those are dropped
 first. ROS's own sensor profile keeps five."""
-COMMAND: Final = Qos(depth=10, reliable=True)
+COMMAND_QOS: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
-LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
+LATCHED_QOS: Final = Qos(depth=1, reliable=True, transient_local=True)
 """For late subscribers, too: the robot description."""
 _RECORDED: Final = Qos(depth=2000, reliable=True)
 _ON_SEGMENT: Final = re.compile(r"/estimator/wrenches/segment_([1-9][0-9]{0,3})$")
@@ -55,38 +55,40 @@ class TopicType:
 
 
 INPUTS: Final = {
-    topics.CABLE_TENSIONS: TopicType(JOINT_STATE_TYPE, PUBLISHER, SENSOR),
-    topics.JOINT_COMMANDS: TopicType(JOINT_STATE_TYPE, COMMAND, COMMAND),
-    topics.CABLE_OFFSETS: TopicType(JOINT_STATE_TYPE, COMMAND, COMMAND),
-    topics.APPLIED_WRENCH: TopicType(WRENCH_TYPE, COMMAND, COMMAND),
-    topics.TRIAL: TopicType(NUMBER_TYPE, COMMAND, COMMAND),
+    topics.CABLE_TENSIONS: TopicType(JOINT_STATE_TYPE, PUBLISHER_QOS, SENSOR_QOS),
+    topics.JOINT_COMMANDS: TopicType(JOINT_STATE_TYPE, COMMAND_QOS, COMMAND_QOS),
+    topics.CABLE_OFFSETS: TopicType(JOINT_STATE_TYPE, COMMAND_QOS, COMMAND_QOS),
+    topics.APPLIED_WRENCH: TopicType(WRENCH_TYPE, COMMAND_QOS, COMMAND_QOS),
+    topics.TRIAL: TopicType(NUMBER_TYPE, COMMAND_QOS, COMMAND_QOS),
 }
 """The topics that a diagnosis of the arm reads; it needs all but the offsets and the trials."""
 
 CONTRACT: Final = {
     **INPUTS,
-    topics.JOINT_TRAJECTORY: TopicType("trajectory_msgs/msg/JointTrajectory", COMMAND, COMMAND),
-    topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
-    topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED, LATCHED),
-    topics.DIAGNOSTICS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),
-    topics.WRENCH: TopicType(WRENCH_TYPE, PUBLISHER),
-    topics.STATUS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER),
-    topics.WRENCH_LOWER: TopicType(WRENCH_TYPE, PUBLISHER),
-    topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER),
-    topics.WRENCH_BASE: TopicType(WRENCH_TYPE, PUBLISHER),
-    topics.JOINT_TORQUES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
-    topics.SEGMENT_WRENCHES: TopicType(WRENCH_TYPE, PUBLISHER),
-    topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
-    topics.CONTACT_REGION: TopicType("geometry_msgs/msg/PolygonStamped", PUBLISHER),
-    topics.CONTACT_POSE: TopicType("geometry_msgs/msg/PoseWithCovarianceStamped", PUBLISHER),
-    topics.CONTACT_COVARIANCE: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
-    topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
-    topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
-    topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),
-    topics.CALIBRATION: TopicType(BYTES_TYPE, LATCHED, LATCHED),
-    topics.CALIBRATION_USED: TopicType(BYTES_TYPE, LATCHED, LATCHED),
-    "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER),
-    "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED, Qos(100, True, True)),
+    topics.JOINT_TRAJECTORY: TopicType(
+        "trajectory_msgs/msg/JointTrajectory", COMMAND_QOS, COMMAND_QOS
+    ),
+    topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER_QOS),
+    topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED_QOS, LATCHED_QOS),
+    topics.DIAGNOSTICS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER_QOS),
+    topics.WRENCH: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.STATUS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER_QOS),
+    topics.WRENCH_LOWER: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.WRENCH_BASE: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.JOINT_TORQUES: TopicType(JOINT_STATE_TYPE, PUBLISHER_QOS),
+    topics.SEGMENT_WRENCHES: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER_QOS),
+    topics.CONTACT_REGION: TopicType("geometry_msgs/msg/PolygonStamped", PUBLISHER_QOS),
+    topics.CONTACT_POSE: TopicType("geometry_msgs/msg/PoseWithCovarianceStamped", PUBLISHER_QOS),
+    topics.CONTACT_COVARIANCE: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER_QOS),
+    topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER_QOS),
+    topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER_QOS),
+    topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER_QOS),
+    topics.CALIBRATION: TopicType(BYTES_TYPE, LATCHED_QOS, LATCHED_QOS),
+    topics.CALIBRATION_USED: TopicType(BYTES_TYPE, LATCHED_QOS, LATCHED_QOS),
+    "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER_QOS),
+    "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED_QOS, Qos(100, True, True)),
 }
 """What a run's recording has: inputs, the estimator's outputs, what shows the arm; `/tf` where its
 type is. Left out are `ESTIMATE`, which repeats other topics, and `SIMULATED_TENSIONS`, which come

@@ -1,7 +1,7 @@
 """Names of topics and services, names of frames, and the error of a message that breaks them.
 
-Topics with `~` are relative to the estimator's own name. Frames are `base_link` and `segment_1` …
-`segment_N`, each with an optional prefix.
+Topics with `~` are relative to the estimator's own name; when it publishes is said in docs/ros.md,
+"Topics". Frames are `base_link` and `segment_1` … `segment_N`, each with an optional prefix.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ contact."""
 FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 WRENCH: Final = "~/wrench"
-"""`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
+"""`geometry_msgs/WrenchStamped`: the environment's force on the arm."""
 STATUS: Final = "~/status"
 """`diagnostic_msgs/DiagnosticArray`: the state of every wrench, with the wrench's stamp: one
 status, whose message is a `messages.ForceState`."""
 ESTIMATE: Final = "~/estimate"
-"""`cablesense_msgs/ForceEstimate`: one for every sample, where that package is installed: state,
-wrench, intervals and place together. Recordings leave it out."""
+"""`cablesense_msgs/ForceEstimate`: where that package is installed, state, wrench, intervals and
+place together. Recordings leave it out."""
 WRENCH_LOWER: Final = "~/wrench_lower"
 """`geometry_msgs/WrenchStamped`: with every estimate, the lower end of the 95 % intervals of force
 and direction. Directions range from this one to the upper's with a growing angle; where it is zero

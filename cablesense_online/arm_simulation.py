@@ -46,7 +46,7 @@ class ArmSimulation:
         self.joint_names: Sequence[str] = arm.joint_names
         self.rate_hz = settings.rate_hz or min(arm.sensors.rate_hz, _FASTEST_HZ)
         self._mechanism = mechanism_of(arm)
-        self._reach_m = touched_places(arm).touched_m
+        self._touched_m = touched_places(arm).touched_m
         seed = settings.built_seed
         built = as_described(arm) if seed < 0 else built_arm(arm, seed)
         self._simulated = SimulatedArm(
@@ -103,7 +103,7 @@ class ArmSimulation:
         """
         pose = self._simulated.joint_angles_rad
         return read_load(
-            message, frames, partial(contact_of_wrench, self._mechanism, pose, self._reach_m)
+            message, frames, partial(contact_of_wrench, self._mechanism, pose, self._touched_m)
         )
 
     def push(self, load: Load, now_s: float) -> None:

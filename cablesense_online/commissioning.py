@@ -41,7 +41,7 @@ _UNSTEADY_STD = 6.0
 """A reading so many deviations from the mean before it is not of an arm at rest."""
 _FEWEST_STEADY = 5
 """Readings in a hold from which its noise is told."""
-_SWING_S = 0.2
+_AVERAGED_S = 0.2
 """Readings are averaged over at least this time: an arm on cables swings with 5 to 20 Hz."""
 _LONGEST_HOLD = 3.0
 """A hold takes at most this multiple of its time, and `_HOLD_MARGIN_S` more."""
@@ -90,7 +90,7 @@ class CommissioningSettings:
 
     def readings_at(self, rate_hz: float) -> int:
         """How many readings a hold takes at a rate."""
-        return max(self.readings, math.ceil(_SWING_S * rate_hz))
+        return max(self.readings, math.ceil(_AVERAGED_S * rate_hz))
 
     def hold_s(self, rate_hz: float) -> float:
         """How long a hold takes at a rate."""
@@ -300,13 +300,13 @@ class Commissioning:
         if self.stage is not Stage.HOLDING or self._added or stamp_ns < self._hold_from_ns:
             return
         self._latest.add(reading_n, stamp_ns)
-        if self._latest.span_s >= _SWING_S and self._is_touched(self._latest.mean_n, stamp_ns):
+        if self._latest.span_s >= _AVERAGED_S and self._is_touched(self._latest.mean_n, stamp_ns):
             return
         if self._moves(reading_n):
             self._readings.clear()
         self._readings.add(reading_n, stamp_ns)
         enough = len(self._readings) >= self._settings.readings
-        if enough and self._readings.span_s >= _SWING_S:
+        if enough and self._readings.span_s >= _AVERAGED_S:
             self._add(stamp_ns)
 
     def stop(self, problem: str, now_ns: int) -> None:

@@ -128,7 +128,7 @@ class ContactEstimator:
         self._units = machine.channels.units
         self._joint_m = machine.joint_m
         self._contact_m = machine.contact_m
-        self._settle_ns = round(settings.settle_s * 1e9)
+        self._settle_ns = settings.settle_ns
 
     def adjusted(self, settings: EstimationSettings) -> ContactEstimator:
         """The same with settings of which only those that may change while running differ."""

@@ -2,7 +2,27 @@
 
 Controllers stream commands that differ in the last digit, or turn slowly. Such a motion is
 followed along the set-points between the commands (`joint_motion`). Only faster ones shut the
-gate.
+gate. A command sets flags at once; the next sample clears them, and sets what holds from then on:
+
+| a command                     | flags                 | from the next sample | until         |
+| ----------------------------- | --------------------- | -------------------- | ------------- |
+| within `still_rad`, not shut  | `heading`             | nothing              |               |
+| farther, and still `follows`  | `heading`             | `turning`            | arrival + w   |
+| any other                     | `heading`, `starting` | `shut`, `turning`    | arrival + w   |
+| `waiting_anew`                | `heading`, `starting` | `shut`               | this sample+w |
+
+Arrival is that of the set-points (`turned_ns`), w is `settle_s`. `shut` ends at `rest_from_ns`,
+which a command that is followed may bring forward, never put off. What the words do:
+
+| word       | holds                                            | effect                        |
+| ---------- | ------------------------------------------------ | ----------------------------- |
+| `shut`     | with `starting`, and until `rest_from_ns`        | no estimate                   |
+| `turning`  | until w after a turn beyond `still_rad` arrives  | an earlier breath is void     |
+| `settling` | as `turning`, and until w after `rest_from_ns`   | misfits are the arm's swing   |
+| `_swings`  | until 2 w after the set-points moved             | intervals allow for unrest    |
+| `noisy`    | while the latest changes of commands cancel      | they do not                   |
+| `stepped`  | where a stamp fell back, or leapt during a wait  | an earlier breath is void     |
+| `_rests`   | without flags, not shut, set-points at rest      | a sample brings its time only |
 """
 
 from __future__ import annotations
@@ -28,7 +48,7 @@ _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _SETTLED = 3.0
 """Exponent by which a swing falls within `settle_s`: to a twentieth."""
-_SWINGS = 2.0
+_SETTLES_REMEMBERED = 2.0
 """A swing is forgotten after this many times `settle_s`."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
@@ -129,7 +149,7 @@ class MotionGate:
         self._still_within = settings.still_rad * per_radian
         self._follow_s = settings.follow_rad_s * per_radian
         self._pose_step = _POSE_STEP_RAD * per_radian
-        self._settle_ns = settings.settle_s * 1e9
+        self._settle_ns = settings.settle_ns
 
     def at_rest(self, command_rad: Array) -> CommandedMotion:
         """The arm has been at rest at a command (2N,) for long."""
@@ -272,7 +292,7 @@ class MotionGate:
         return replace(motion, swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
 
     def _swings(self, motion: CommandedMotion) -> bool:
-        return motion.last_ns - motion.swung_ns < _SWINGS * self._settle_ns
+        return motion.last_ns - motion.swung_ns < _SETTLES_REMEMBERED * self._settle_ns
 
     def _left_of_swing(self, motion: CommandedMotion) -> float:
         passed_s = (motion.last_ns - motion.swung_ns) * 1e-9

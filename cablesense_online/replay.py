@@ -164,14 +164,15 @@ class Comparison:
         compared: those with a recorded answer that were answered again.
         identical: of these, whose wrenches are the same to the last bit.
         contacts: of those compared, with a force.
-        before_calibration: answered before the recording has a calibration.
+        not_replayed: those with a recorded answer that were not answered again: before the
+            recording has a calibration, or without a stamp by which to find them.
     """
 
     samples: int = 0
     compared: int = 0
     identical: int = 0
     contacts: int = 0
-    before_calibration: int = 0
+    not_replayed: int = 0
     first_difference: str = ""
 
     def compare(self, recorded: bytes, replayed: bytes) -> None:
@@ -196,7 +197,7 @@ class Comparison:
         """One line for each count, and the first difference."""
         rows = (
             (self.samples, "samples recorded"),
-            (self.before_calibration, "before the first calibration, so not compared"),
+            (self.not_replayed, "not answered again: no calibration yet, or no stamp"),
             (self.compared, "compared"),
             (self.contacts, "of these contacts"),
             (self.identical, "bit-identical"),
@@ -396,7 +397,7 @@ def _compared(
         if recorded is None and run.answers:
             continue
         if replayed is None:
-            comparison.before_calibration += recorded is not None
+            comparison.not_replayed += recorded is not None
             continue
         if recorded is not None:
             comparison.compare(recorded, replayed.wrench)

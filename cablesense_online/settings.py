@@ -1,4 +1,11 @@
-"""The estimator's settings: the node's parameters of these names, with angles in rad."""
+"""The estimator's settings: the node's parameters of these names, with angles in rad.
+
+They stand in the provenance of every recording (`cablesense_online.provenance`), from which a
+replay takes them. So what changes an answer must be among them, or a replay differs from its
+recording. A default here is that of recordings made before the setting existed: what the estimator
+did then. A node's default is another: it stands in `cablesense_ros/parameters.yaml`, and the file
+that launch files give to the node, `config/nodes/estimator.yaml`, overrides it.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +52,11 @@ class EstimationSettings(BaseModel):
     tare_deviation_n: _NotNegative = 0.0
     unknown_force: Literal["zero", "nan", "none"] = "zero"
     hidden_above_n: _NotNegative = 1.0
+
+    @property
+    def settle_ns(self) -> int:
+        """`settle_s` in whole nanoseconds, as stamps are."""
+        return round(self.settle_s * 1e9)
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")

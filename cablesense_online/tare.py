@@ -7,6 +7,7 @@ the arm file (`tared_arm`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -176,10 +177,12 @@ def refusal(
     worst = int(np.argmax(spread))
     if spread[worst] > settings.tare_steady_n:
         unit = channels.units[worst]
+        enough = math.ceil(100.0 * spread[worst]) / 100.0
         return (
             f"{channels.names[worst]} varies by {spread[worst]:.2f} {unit} (standard deviation; "
             f"at most {settings.tare_steady_n:g} {unit}); let the arm rest with nothing touching "
-            "it and call again"
+            f"it and call again, or, if it does and its sensors are so noisy, set tare_steady_n "
+            f"to {enough:.2f} or more"
         )
     return ""
 

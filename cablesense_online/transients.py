@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, Estimate
 
-_SWINGS_NS = 150_000_000
+_HALF_SWING_NS = 150_000_000
 """An arm on cables swings with some 5 to 20 Hz; half a period of the slowest."""
 _SMALLEST_HALF_N = 0.5
 """Half intervals of forces are at least so wide: changes below this are no transient."""
@@ -43,9 +43,9 @@ def with_torque(
 ) -> tuple[RecentTorques, bool]:
     """With the torque of another estimate, and whether it has changed just now.
 
-    That is by more than both half intervals within `_SWINGS_NS`. `lever_m` is from the arm's first
-    joint to the contact: the torque of the force about it is continuous where the contact passes
-    from one segment to the next.
+    That is by more than both half intervals within `_HALF_SWING_NS`. `lever_m` is from the arm's
+    first joint to the contact: the torque of the force about it is continuous where the contact
+    passes from one segment to the next.
     """
     angle = math.radians(estimate.angle_deg)
     size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
@@ -53,7 +53,7 @@ def with_torque(
     half_n = max(NORMAL_95 * estimate.magnitude_std_n, _SMALLEST_HALF_N)
     half_n_m = half_n * max(lever_m, _SHORTEST_LEVER_M)
     passed_ns = stamp_ns - before.stamps_ns
-    is_recent = (passed_ns >= 0) & (passed_ns <= _SWINGS_NS)
+    is_recent = (passed_ns >= 0) & (passed_ns <= _HALF_SWING_NS)
     torques_n_m = before.torques_n_m[is_recent]
     halves_n_m = before.halves_n_m[is_recent]
     apart_n_m = np.hypot(*(torques_n_m - torque_n_m).T)

@@ -24,6 +24,7 @@ from cablesense_recording.channel_checks import (
 from cablesense_recording.channels import LOAD, LOAD_AT, LOAD_SEGMENT, TIME, tension_columns
 from cablesense_recording.layout import Described, Layout, layout_of
 from cablesense_recording.recording import EXCHANGED, Finding, Recording, RowNames, refuse, warn
+from cablesense_recording.units import time_unit_of
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -39,8 +40,8 @@ _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
 _GAP_INTERVALS = 10.0
 _OTHER_RATE = 3.0
-_MILLISECONDS = (700.0, 1400.0)
-"""Ratios of the rows' interval to the sensors', where milliseconds are taken for seconds."""
+_SAME_RATE = (0.7, 1.4)
+"""Ratios of the rows' interval in some unit to the sensors' at which times are in that unit."""
 _MOVED_FLOORS = 50.0
 """A cable whose prediction varies by this many noise floors must show it."""
 _STUCK_TRIALS = 3
@@ -135,18 +136,20 @@ def _time(recording: Recording, layout: Layout, rate_hz: float | None) -> Iterat
     if within.size:
         usual = float(np.median(within))
         slower = 1.0 if rate_hz is None else usual * rate_hz
-        if _MILLISECONDS[0] <= slower <= _MILLISECONDS[1]:
+        read_s = usual / slower
+        unit = time_unit_of(usual, (_SAME_RATE[0] * read_s, _SAME_RATE[1] * read_s))
+        if unit:
             yield refuse(
-                "milliseconds",
+                unit,
                 f"rows come every {usual:g} s, and the sensors of {layout.name} read every "
-                f"{usual / slower:g} s; {TIME} must be in s, not in milliseconds",
+                f"{read_s:g} s; {TIME} must be in s, not in {unit}",
             )
             return
         if not 1.0 / _OTHER_RATE <= slower <= _OTHER_RATE:
             yield warn(
                 "rate",
                 f"rows come every {usual:.3g} s, where sensors.rate_hz = {rate_hz:g} "
-                f"of {layout.name} says every {usual / slower:g} s; see whether "
+                f"of {layout.name} says every {read_s:g} s; see whether "
                 "times are in s, and whether the arm file is that of this arm",
             )
         gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
@@ -185,7 +188,7 @@ def _labels(recording: Recording, layout: Layout) -> Iterator[Finding]:
             "segment it acts on, or give 0 N",
         )
     if recording.load_at_m is not None:
-        low_m, high_m = layout.touched_m[np.clip(segment, 1, count) - 1].T
+        low_m, high_m = layout.loadable_m[np.clip(segment, 1, count) - 1].T
         at_m = recording.load_at_m
         off = (segment > 0) & ((at_m < low_m) | (at_m > high_m))
         if off.any():

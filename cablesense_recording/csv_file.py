@@ -38,6 +38,7 @@ from cablesense_recording.recording import (
     derive_trials,
     given_places,
 )
+from cablesense_recording.units import OTHER_TIME_UNITS
 
 LONGEST_S: Final = 1e10
 """Any time is nearer to any epoch, and rows a microsecond apart can still be distinguished."""
@@ -131,7 +132,8 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
             why = "is no number"
             if name == TIME and not wrong.any():
                 wrong = np.abs(values) > LONGEST_S
-                why = f"is beyond {LONGEST_S:g} s"
+                units = ", ".join(OTHER_TIME_UNITS)
+                why = f"is beyond {LONGEST_S:g} s; times must be in seconds ({units} given?)"
             if wrong.any():
                 cell = str(column.iloc[wrong.argmax()])[:40]
                 raise RecordingError(

@@ -103,7 +103,7 @@ class Layout(Protocol):
         ...
 
     @property
-    def touched_m(self) -> Array:
+    def loadable_m(self) -> Array:
         """(N, 2) where loads may act on the links, along their axes."""
         ...
 
@@ -150,8 +150,8 @@ class ArmLayout:
         self.command_columns = command_columns(arm.joint_count)
 
     @property
-    def touched_m(self) -> Array:
-        """(N, 2) the whole segments."""
+    def loadable_m(self) -> Array:
+        """(N, 2) the whole segments, though an arm file's `touch.reach_m` may be narrower."""
         length_m = mechanism_of(self._arm).segment_length_m
         return np.stack([np.zeros_like(length_m), length_m], axis=1)
 
@@ -170,8 +170,8 @@ class ArmLayout:
         mechanism = mechanism_of(self._arm)
 
         def contact_of(force_n: Array, torque_n_m: Array) -> tuple[int, float]:
-            reach_m = touched_places(self._arm).touched_m
-            return contact_of_wrench(mechanism, pose_rad, reach_m, force_n, torque_n_m)
+            touched_m = touched_places(self._arm).touched_m
+            return contact_of_wrench(mechanism, pose_rad, touched_m, force_n, torque_n_m)
 
         load = read_load(message, frames, contact_of)
         if load.contact_m is None:
@@ -200,7 +200,7 @@ class MachineLayout:
         self.channel_names = machine.channels.names
         self.command_names = machine.command_names
         self.link_names = machine.links.names
-        self.touched_m = machine.links.touched_m
+        self.loadable_m = machine.links.touched_m
         kind = Kind.POSITION if machine.is_measured else Kind.COMMAND
         self.command_topic = topics.JOINT_STATES if machine.is_measured else topics.JOINT_COMMANDS
         self.command_columns = [f"{kind.value}.{name}" for name in self.command_names]

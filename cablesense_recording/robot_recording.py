@@ -43,6 +43,7 @@ from cablesense_recording.joint_states import bag_table
 from cablesense_recording.mcap_file import is_bag
 from cablesense_recording.poses import Kinematics, with_positions
 from cablesense_recording.recording import Finding, RecordingError, RowNames
+from cablesense_recording.units import OTHER_TIME_UNITS, time_unit_of
 
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
@@ -194,10 +195,11 @@ def read_by_channels(
     for part in parts:
         notes += part.notes
         warnings += part.warnings
-    trial, note = _trials(parts)
     every = _columns_of_all(parts)
+    uncut = _uncut_trials(parts)
+    warnings += _check_units(path, channels, every, uncut, force=force)
+    trial, note = _trials(parts, uncut)
     every[TRIAL] = trial.astype(np.float64)
-    warnings += _check_units(path, channels, every, force=force)
     constant = [
         number
         for number in constant_channels(channels.labels(Kind.TORQUE), every["torque"])
@@ -515,19 +517,25 @@ def _refuse_other_names(path: Path, table: _Columns, channels: RobotChannels) ->
         )
 
 
-def _trials(parts: Sequence[_FileRows]) -> tuple[NDArray[np.int64], str]:
-    """By column, by file, or by pauses; cut into stretches where there are too few."""
+def _uncut_trials(parts: Sequence[_FileRows]) -> NDArray[np.int64]:
+    """(R,) by column, by file, or by pauses."""
     trials: list[NDArray[np.int64]] = []
     begin = 0
-    how = "by their column" if all(part.numbered for part in parts) else "by file and pause"
     for part in parts:
         trials.append(begin + part.columns[TRIAL].astype(np.int64))
         begin = int(trials[-1].max()) + 1
-    trial = np.concatenate(trials)
-    if begin < FEWEST_TRIALS:
-        trial = _cut(np.concatenate([part.columns[TIME] for part in parts]), trial)
-        how += f", {begin} in all, cut into {int(trial.max()) + 1} stretches"
-    return trial, f"Trials {how}."
+    return np.concatenate(trials)
+
+
+def _trials(parts: Sequence[_FileRows], uncut: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
+    """These trials (R,), cut into stretches where there are too few; and how, as a sentence."""
+    how = "by their column" if all(part.numbered for part in parts) else "by file and pause"
+    count = int(uncut.max()) + 1
+    if count >= FEWEST_TRIALS:
+        return uncut, f"Trials {how}."
+    trial = _cut(np.concatenate([part.columns[TIME] for part in parts]), uncut)
+    stretches = int(trial.max()) + 1
+    return trial, f"Trials {how}, {count} in all, cut into {stretches} stretches."
 
 
 def _trial_labels(parts: Sequence[_FileRows], trial: NDArray[np.int64]) -> Iterator[TrialLabel]:
@@ -586,20 +594,31 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _check_units(
-    path: Path, channels: RobotChannels, every: Mapping[str, Array], *, force: bool
+    path: Path,
+    channels: RobotChannels,
+    every: Mapping[str, Array],
+    uncut: NDArray[np.int64],
+    *,
+    force: bool,
 ) -> list[str]:
-    """Warnings of what `force` lets pass; milliseconds and a robot at rest are refused."""
+    """Units of time, degrees, and a robot that does not move; what `force` lets pass, as warnings.
+
+    Of the trials (R,) that are `uncut`: those that stretches of seconds make are single rows in
+    another unit.
+    """
     warnings = []
     interval = np.diff(every[TIME])
-    within = np.diff(every[TRIAL]) == 0
+    within = np.diff(uncut) == 0
     position = every["position"]
     typical = float(np.median(interval[within])) if within.any() else 0.0
     step = np.abs(np.diff(position, axis=0)[within])
     speed = (step / interval[within, None]).max(0, initial=0.0)
     if typical > _MOST_INTERVAL_S and speed.max() < _LEAST_SPEED:
+        shortest_s = _MOST_INTERVAL_S * OTHER_TIME_UNITS["milliseconds"]
+        unit = time_unit_of(typical, (shortest_s, _MOST_INTERVAL_S)) or "another unit"
         raise RecordingError(
             f"{path}: rows are {typical:g} s apart and joints reach {speed.max():.2g} in 1 s; "
-            "time_s must be in seconds (milliseconds given?)"
+            f"time_s must be in seconds ({unit} given?)"
         )
     hinges = np.array([unit == "rad" for unit in channels.position_units])
     hinges &= np.array(channels.limited) | (speed > _MOST_RAD_S)

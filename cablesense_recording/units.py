@@ -21,7 +21,26 @@ TORQUE_UNITS: Final = {"N·m": 1.0, "mN·m": 1e-3, "N·cm": 1e-2, "N·mm": 1e-3}
 ANGLE_UNITS: Final = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0}
 LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+OTHER_TIME_UNITS: Final = {
+    "milliseconds": TIME_UNITS["ms"],
+    "microseconds": TIME_UNITS["us"],
+    "nanoseconds": TIME_UNITS["ns"],
+}
+"""In which a column of seconds may be by mistake, by their names in words."""
 READING_UNITS: Final = FORCE_UNITS | TORQUE_UNITS
 """Of a channel: a tension, or a joint's torque."""
 COMMAND_UNITS: Final = ANGLE_UNITS | LENGTH_UNITS
 """Of a command: an angle, a slide, or the length that an actuator holds."""
+
+
+def time_unit_of(interval: float, usual_s: tuple[float, float]) -> str:
+    """The unit, in words, in which times seem to be that should be in seconds; empty for none.
+
+    Their rows are `interval` apart as numbers. Times are taken for those of a unit if, read in
+    it, rows come as often as such rows usually do: every `usual_s`, from the first to below the
+    second.
+    """
+    for unit, seconds in OTHER_TIME_UNITS.items():
+        if usual_s[0] <= interval * seconds < usual_s[1]:
+            return unit
+    return ""

@@ -21,7 +21,7 @@ from cablesense_msgs_py.messages import (
     joint_command_rad,
     put_joint_angles,
 )
-from cablesense_msgs_py.qos import COMMAND
+from cablesense_msgs_py.qos import COMMAND_QOS
 from cablesense_online.breathing import (
     SET_POINTS_A_TURN,
     Breath,
@@ -62,9 +62,9 @@ class BreatherNode(Node):
         self._problem = ""
         self._count = 0
         self._tick_ns = round(settings["turn_s"] * 1e9 / SET_POINTS_A_TURN)
-        self._out = self.create_publisher(JointState, settings["over"], qos_profile(COMMAND))
+        self._out = self.create_publisher(JointState, settings["over"], qos_profile(COMMAND_QOS))
         self._refuse = RefusalLog(self)
-        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
+        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND_QOS, self._on_command)
         serve(self, topics.BREATHE, self._breathe_once)
         self.create_timer(0.5e-9 * self._tick_ns, self._tick)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)

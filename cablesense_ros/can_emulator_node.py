@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, NamedOrder, Status
-from cablesense_msgs_py.qos import SENSOR
+from cablesense_msgs_py.qos import SENSOR_QOS
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator, SlcanPort
@@ -69,7 +69,7 @@ class CanEmulatorNode(Node):
         self._refuse.subscribe(
             JointState,
             topics.SIMULATED_TENSIONS,
-            SENSOR,
+            SENSOR_QOS,
             lambda m: self._emulator.cycle(order.pick(m.name, m.effort, "effort")),
         )
         self.add_on_set_parameters_callback(self._check_parameters)

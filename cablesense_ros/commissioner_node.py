@@ -30,7 +30,7 @@ from cablesense_msgs_py.messages import (
     joint_command_rad,
     put_joint_angles,
 )
-from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
+from cablesense_msgs_py.qos import COMMAND_QOS, LATCHED_QOS, SENSOR_QOS
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_online.chosen_poses import chosen_poses
 from cablesense_online.commissioning import (
@@ -105,21 +105,21 @@ class CommissionerNode(Node):
         self._status = Status("commissioning", Level.OK, "none yet")
         self._message = JointState(name=list(felt.command_names))
         self._commands = self.create_publisher(
-            JointState, topics.JOINT_COMMANDS, qos_profile(COMMAND)
+            JointState, topics.JOINT_COMMANDS, qos_profile(COMMAND_QOS)
         )
         self._calibrations = self.create_publisher(
-            UInt8MultiArray, topics.CALIBRATION, qos_profile(LATCHED)
+            UInt8MultiArray, topics.CALIBRATION, qos_profile(LATCHED_QOS)
         )
         self._refuse = RefusalLog(self)
-        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
+        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND_QOS, self._on_command)
         self._refuse.subscribe(
-            JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND, self._on_trajectory
+            JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND_QOS, self._on_trajectory
         )
         subscribe_to_one(
             self,
             JointState,
             topics.CABLE_TENSIONS,
-            SENSOR,
+            SENSOR_QOS,
             FollowedPublisher(settings["stale_after_s"]),
             self._on_tensions,
             partial(self._refuse, topics.CABLE_TENSIONS),

@@ -141,12 +141,12 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
     console = Console(stderr=as_json)
     shown = shown_machine(options.arm)
-    reach_m = shown.free_m
+    touched_m = shown.unobstructed_m
     most_along = demo_pushes.MOST_ALONG
     if loaded.law is None:  # a network estimates contacts at these points alone
-        reach_m = shown.usual_m[:, None].repeat(2, axis=1)
+        touched_m = shown.usual_m[:, None].repeat(2, axis=1)
         most_along = 0.0
-    script = demo_pushes.make_script(shown, reach_m, duration_s, options.seed, most_along)
+    script = demo_pushes.make_script(shown, touched_m, duration_s, options.seed, most_along)
     live = LiveMachine(shown, joint_speed_rad_s=_JOINT_SPEED_RAD_S)
     played = _played(options, script, live, console)
     results = demo_pushes.push_results(script, played)

@@ -72,15 +72,16 @@ class ScriptedPush:
 
 def make_script(
     shown: ShownMachine,
-    reach_m: Array,
+    touched_m: Array,
     duration_s: float,
     seed: int,
     most_along: float = MOST_ALONG,
 ) -> list[ScriptedPush]:
     """Pushes on one link after another, the last first: in the first pose, then in random ones.
 
-    They act within `reach_m` (N, 2) of each link, along its axis, with up to 0.6 of the strongest
-    contact to expect, in directions that are felt, and `most_along` of their force along the axis.
+    They act within `touched_m` (N, 2) of each link, along its axis, with up to 0.6 of the
+    strongest contact to expect, in directions that are felt, and `most_along` of their force along
+    the axis.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -90,7 +91,7 @@ def make_script(
             f"duration is {duration_s:g} s; one push takes {SHORTEST_SLOT_S:g} s at least"
         )
     rng = np.random.default_rng(seed)
-    link_count = len(reach_m)
+    link_count = len(touched_m)
     joint_count = len(shown.felt.torque_names)
     straight_count = max(1, int(0.5 * duration_s / SHORTEST_SLOT_S))
     posed_count = int((duration_s - straight_count * SHORTEST_SLOT_S) / (SHORTEST_SLOT_S + MOVE_S))
@@ -112,7 +113,7 @@ def make_script(
             segment=segment,
             angle_deg=felt.angle_deg,
             magnitude_n=float(f"{magnitude_n:.3g}"),
-            contact_m=float(rng.uniform(*reach_m[segment - 1])),
+            contact_m=float(rng.uniform(*touched_m[segment - 1])),
             along_n=float(magnitude_n * rng.uniform(-most_along, most_along)),
         )
         script.append(ScriptedPush(end_s - PUSH_S, end_s, contact, command, bent, move_s=now_s))

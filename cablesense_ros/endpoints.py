@@ -37,7 +37,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import COMMAND, PUBLISHER, Qos
+from cablesense_msgs_py.qos import COMMAND_QOS, PUBLISHER_QOS, Qos
 from cablesense_msgs_py.serialized import MAX_CALIBRATION_BYTES, MAX_MESSAGE_BYTES, require_bounded
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.followed_publisher import FollowedPublisher
@@ -119,7 +119,7 @@ class Outputs:
         self.node = node
         self._made: dict[str, _Output] = {}
 
-    def make(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
+    def make(self, kind: type, topic: str, qos: Qos = PUBLISHER_QOS) -> _Output:
         """The topic, made the first time."""
         if topic not in self._made:
             self._made[topic] = _Output(self.node, kind, topic, qos)
@@ -287,8 +287,8 @@ class CommandInput:
         self._positions_rad: Array = np.zeros((0, 0))
         self._start_s = 0.0
         self._subscriptions = [
-            refuse.subscribe(JointState, topic, COMMAND, take),
-            refuse.subscribe(JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND, self._begin),
+            refuse.subscribe(JointState, topic, COMMAND_QOS, take),
+            refuse.subscribe(JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND_QOS, self._begin),
         ]
         self._timer = steady_timer(node, TRAJECTORY_PERIOD_S, self._follow)
 

@@ -16,7 +16,7 @@ from cablesense_contact.calibration_file import calibration_of
 from cablesense_contact.reference_contacts import KnownForce
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
+from cablesense_msgs_py.qos import COMMAND_QOS, LATCHED_QOS, SENSOR_QOS
 from cablesense_online.answer import Answer
 from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
@@ -51,7 +51,7 @@ STALE_CHECK_S = 0.02
 
 
 class EstimatorNode(ConfiguredNode):
-    """Configured: model and arm loaded. Active: every sample is answered with a wrench."""
+    """Configured: model and arm loaded. Active: samples are answered."""
 
     def __init__(self) -> None:
         super().__init__("estimator")
@@ -72,7 +72,7 @@ class EstimatorNode(ConfiguredNode):
             self,
             JointState,
             topics.CABLE_TENSIONS,
-            SENSOR,
+            SENSOR_QOS,
             self._estimation.publisher,
             self._on_sample,
             partial(self._refuse_sample, topics.CABLE_TENSIONS),
@@ -83,10 +83,10 @@ class EstimatorNode(ConfiguredNode):
         refuse = self._refuse_command
         machine = self._loaded.machine
         offset = self._estimation.offset
-        offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, offset)
+        offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND_QOS, offset)
         at_end(self.destroy_subscription, offsets)
         calibrations = refuse.subscribe(
-            UInt8MultiArray, topics.CALIBRATION, LATCHED, self._on_calibration
+            UInt8MultiArray, topics.CALIBRATION, LATCHED_QOS, self._on_calibration
         )
         at_end(self.destroy_subscription, calibrations)
         commands = CommandInput(

@@ -34,7 +34,7 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState, Status
-from cablesense_msgs_py.qos import LATCHED, WRENCH
+from cablesense_msgs_py.qos import LATCHED_QOS, WRENCH_QOS
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer, ContactStatics
@@ -88,7 +88,7 @@ class EstimatorOutputs:
         self._provenance = provenance
         self._next_display_s = float("-inf")
         self._writers = wrench_writers(frames)
-        self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH)
+        self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH_QOS)
         self._status_out = outputs.make(DiagnosticArray, topics.STATUS)
         self._node = outputs.node
         self._identity = machine.identity
@@ -125,7 +125,7 @@ class EstimatorOutputs:
         self._probabilities.layout.dim = [
             MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels))
         ]
-        self._calibration_out = outputs.make(UInt8MultiArray, topics.CALIBRATION_USED, LATCHED)
+        self._calibration_out = outputs.make(UInt8MultiArray, topics.CALIBRATION_USED, LATCHED_QOS)
         self._markers_out = outputs.make(MarkerArray, topics.MARKERS) if markers else None
         self._most_shown = max(1, count)
 

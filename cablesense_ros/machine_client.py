@@ -41,30 +41,30 @@ class MachineClient:
         self._live = live
         self._command_names = list(live.shown.felt.command_names)
         inputs: tuple[tuple[type, str, qos.Qos], ...] = (
-            (JointState, topics.CABLE_TENSIONS, qos.SENSOR),
-            (JointState, topics.JOINT_STATES, qos.SENSOR),
-            (JointState, topics.JOINT_COMMANDS, qos.COMMAND),
-            (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND),
-            (WrenchStamped, topics.WRENCH, qos.SENSOR),
-            (DiagnosticArray, topics.STATUS, qos.SENSOR),
-            (WrenchStamped, topics.WRENCH_LOWER, qos.SENSOR),
-            (WrenchStamped, topics.WRENCH_UPPER, qos.SENSOR),
-            (PolygonStamped, topics.CONTACT_REGION, qos.SENSOR),
-            (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR),
-            (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND),
+            (JointState, topics.CABLE_TENSIONS, qos.SENSOR_QOS),
+            (JointState, topics.JOINT_STATES, qos.SENSOR_QOS),
+            (JointState, topics.JOINT_COMMANDS, qos.COMMAND_QOS),
+            (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND_QOS),
+            (WrenchStamped, topics.WRENCH, qos.SENSOR_QOS),
+            (DiagnosticArray, topics.STATUS, qos.SENSOR_QOS),
+            (WrenchStamped, topics.WRENCH_LOWER, qos.SENSOR_QOS),
+            (WrenchStamped, topics.WRENCH_UPPER, qos.SENSOR_QOS),
+            (PolygonStamped, topics.CONTACT_REGION, qos.SENSOR_QOS),
+            (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR_QOS),
+            (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND_QOS),
             *(
-                (WrenchStamped, topics.SEGMENT_WRENCHES.format(number), qos.SENSOR)
+                (WrenchStamped, topics.SEGMENT_WRENCHES.format(number), qos.SENSOR_QOS)
                 for number in range(1, live.frames.segment_count + 1)
             ),
         )
         refuse = RefusalLog(node)
         for kind, topic, asked in inputs:
             publisher = live.tension_publisher if topic == topics.CABLE_TENSIONS else None
-            if publisher is None and asked is qos.SENSOR:
+            if publisher is None and asked is qos.SENSOR_QOS:
                 publisher = FollowedPublisher()
             take = partial(self._take, topic)
             refuse.subscribe(kind, of_node(estimator, topic), asked, take, publisher)
-        quality = qos_profile(qos.COMMAND)
+        quality = qos_profile(qos.COMMAND_QOS)
         self._loads = node.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, quality)
         self._commands = node.create_publisher(JointState, topics.JOINT_COMMANDS, quality)
 

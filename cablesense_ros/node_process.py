@@ -40,7 +40,7 @@ from cablesense_base.installation import missing_package_line
 from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_msgs_py.qos import PUBLISHER_QOS
 from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
 from cablesense_ros.executor import make_executor
 from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
@@ -397,7 +397,9 @@ def publish_diagnostics(
 
     If simulated time is used and stands still, a status and the log say so.
     """
-    publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos_profile(PUBLISHER))
+    publisher = node.create_publisher(
+        DiagnosticArray, topics.DIAGNOSTICS, qos_profile(PUBLISHER_QOS)
+    )
     last_ns = -1
 
     def publish() -> None:

@@ -22,7 +22,7 @@ from cablesense_base import CableSenseError
 from cablesense_base.progress import status
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
-from cablesense_msgs_py.qos import INPUTS, SENSOR, TopicType, resolved, segment_of
+from cablesense_msgs_py.qos import INPUTS, SENSOR_QOS, TopicType, resolved, segment_of
 from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_online.sensor_check import CommissioningError, Pull
 from cablesense_recording.mcap_file import BagRows
@@ -256,7 +256,7 @@ def capture_tensions(
                 )
             return times_s[-1]
 
-        node.create_subscription(JointState, topics.CABLE_TENSIONS, take, qos_profile(SENSOR))
+        node.create_subscription(JointState, topics.CABLE_TENSIONS, take, qos_profile(SENSOR_QOS))
         end_s = time.monotonic() + _FIRST_SAMPLE_S
         while not times_s and time.monotonic() < end_s:
             wait(_LISTEN_S)

@@ -23,7 +23,7 @@ from cablesense_msgs_py.messages import (
     put_joint_angles,
     put_tensions,
 )
-from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER
+from cablesense_msgs_py.qos import COMMAND_QOS, LATCHED_QOS, PUBLISHER_QOS
 from cablesense_online.opened_simulation import open_simulation
 from cablesense_online.simulation import SimulationSettings
 from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable, qos_profile
@@ -65,12 +65,12 @@ class SimNode(Node):
         ticks = simulated.rate_hz / simulated.joint_states_hz
         self._ticks_per_joint_state = max(1, math.ceil(ticks))
         self._readings_out, self._joint_states_out = (
-            self.create_publisher(JointState, topic, **overridable(topic, PUBLISHER))
+            self.create_publisher(JointState, topic, **overridable(topic, PUBLISHER_QOS))
             for topic in (topics.CABLE_TENSIONS, topics.JOINT_STATES)
         )
         if given["description"] and simulated.urdf is not None:
             described = self.create_publisher(
-                String, topics.ROBOT_DESCRIPTION, qos_profile(LATCHED)
+                String, topics.ROBOT_DESCRIPTION, qos_profile(LATCHED_QOS)
             )
             described.publish(String(data=simulated.urdf))
         self._refuse = RefusalLog(
@@ -79,8 +79,8 @@ class SimNode(Node):
         CommandInput(
             self, self._refuse, simulated.command_names, lambda: simulated.target, self._on_command
         )
-        self._refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, self._on_offsets)
-        self._refuse.subscribe(WrenchStamped, topics.APPLIED_WRENCH, COMMAND, self._on_load)
+        self._refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND_QOS, self._on_offsets)
+        self._refuse.subscribe(WrenchStamped, topics.APPLIED_WRENCH, COMMAND_QOS, self._on_load)
         publish_diagnostics(self, self._statuses, lambda: simulated.identity)
         self.create_timer(1.0 / simulated.rate_hz, self._tick)
         self.get_logger().info(

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import read_bounded_text
@@ -40,6 +40,7 @@ Length = Annotated[Number, Field(gt=0.0, le=5.0)]
 Radius = Annotated[Number, Field(ge=0.001, le=1.0)]
 Mass = Annotated[Number, Field(ge=0.0, le=200.0)]
 Gravity = Annotated[Number, Field(ge=-30.0, le=30.0)]
+_FEWEST_CABLES = 3
 PerSegmentLength = Length | Annotated[list[Length], Field(min_length=1)]
 PerSegmentRadius = Radius | Annotated[list[Radius], Field(min_length=1)]
 PerSegmentMass = Mass | Annotated[list[Mass], Field(min_length=1)]
@@ -74,6 +75,24 @@ def _one_for_all_segments(count: Any) -> Any:
     return count
 
 
+def _enough_for_both_axes(count: int) -> int:
+    if count < _FEWEST_CABLES:
+        raise ValueError(
+            f"= {count}: must be at least {_FEWEST_CABLES}, as cables only pull and a segment "
+            "turns about two axes; describe an arm with fewer cables by a machine file "
+            "(docs/machines.md)"
+        )
+    return count
+
+
+PerSegmentCables = Annotated[
+    Count,
+    BeforeValidator(_one_for_all_segments),
+    Field(le=16),
+    AfterValidator(_enough_for_both_axes),
+]
+
+
 class CableSet(FilePart):
     """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
 
@@ -81,7 +100,7 @@ class CableSet(FilePart):
     is the cable's own E*A, to which the actuator's stiffness is then added in series.
     """
 
-    per_segment: Annotated[Count, BeforeValidator(_one_for_all_segments), Field(ge=3, le=16)]
+    per_segment: PerSegmentCables
     routing_radius_m: PerSegmentRadius
     angle_deg: CableAngles
     stiffness_n_m: Annotated[Number, Field(ge=1e2, le=1e9)] | None = None
@@ -135,7 +154,8 @@ class Touch(FilePart):
     `friction` is the Coulomb coefficient there. With a radius of zero contacts act on the axis;
     with a friction of zero they do so with any axial force.
     `reach_m` is the range on each segment that can be touched, from its joint centre; by default
-    all of its length.
+    all of its length. Inside the code it is `touched_m`, one range for each segment
+    (`cablesense_sim.touch`).
     """
 
     radius_m: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None

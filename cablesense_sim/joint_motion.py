@@ -15,6 +15,9 @@ _PEAK_TO_MEAN_SPEED = 1.875
 """Of a fifth-order move from rest to rest."""
 _PEAK_ACCELERATION = 3.08
 """Of such a move, in peak speeds by its duration."""
+SUDDEN_OVER_STEADY = 2.0
+"""A sudden acceleration swings an undamped machine by this many times what a steady one bends
+it."""
 
 
 def move_duration_s(largest_turn_rad: float, joint_speed_rad_s: float) -> float:

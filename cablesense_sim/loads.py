@@ -78,14 +78,14 @@ def normal_components_n(
 def contact_of_wrench(
     mechanism: Mechanism,
     joint_angles_rad: Array,
-    contact_range_m: Array,
+    touched_m: Array,
     force_n: Array,
     torque_n_m: Array,
 ) -> tuple[int, float]:
     """The segment, from 1, and the place from its joint centre, m, where a wrench acts on the arm.
 
-    It is the point of the axis, within the contact range (N, 2) of each segment, that is nearest
-    to the line of action of a force (3,), base axes, whose torque (3,) is about the base frame's
+    It is the point of the axis, within `touched_m` (N, 2) of each segment, that is nearest to
+    the line of action of a force (3,), base axes, whose torque (3,) is about the base frame's
     origin.
 
     Raises:
@@ -101,7 +101,7 @@ def contact_of_wrench(
     missing = (torque_n_m - np.cross(points_m, force_n)) / magnitude_n
     slope = np.cross(pose.rotation[..., 0], force_n) / magnitude_n
     further_m = (missing * slope).sum(-1) / np.maximum((slope * slope).sum(-1), 1e-12)
-    place_m = np.clip(usual_m + further_m, *contact_range_m.T)
+    place_m = np.clip(usual_m + further_m, *touched_m.T)
     off_m = np.linalg.norm(missing - (place_m - usual_m)[:, None] * slope, axis=-1)
     nearest = int(np.argmin(off_m))
     on_axis_m = pose.joint_m + place_m[:, None] * pose.rotation[..., 0]

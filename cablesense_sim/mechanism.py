@@ -24,6 +24,14 @@ _LEAST_RUN = 0.1
 class Mechanism:
     """N segments on universal joints, and M cables through guide plates around each joint.
 
+    Shapes are those of one mechanism. In two places arrays have one axis more in front:
+
+    - `contact_m` may be (R, N), where loads act in each of R rows: so the statics take it
+      (`solve_equilibrium`, `EquilibriumResponse`, `contact_information`), and what else is by
+      contact points does not (`kinematics.contact_points_m`).
+    - `stack` gives those that stand in `_STACKED` an axis P, one entry for each of P mechanisms,
+      for the quasi-statics of several arms at once.
+
     Attributes:
         gravity_m_s2: (3,) base frame.
         segment_length_m: (N,) joint centre to joint centre.

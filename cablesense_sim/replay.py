@@ -59,7 +59,8 @@ class Replay:
 
     Attributes:
         course: as recorded, R samples.
-        alike: (R,) a number that rows with the same command and loads share.
+        group_of_row: (R,) from 0, a number that rows with the same command and loads share: a
+            memoryless arm is solved in the first row of each group alone.
         equilibrium_rad: (R, 2N) joint angles at the equilibria that were found last, without
             memory of the past; the commands before any was.
     """
@@ -79,7 +80,7 @@ class Replay:
             self._beyond_m = np.nan_to_num(course.places_m - self._nominal.contact_m, nan=0.0)
             each_row.append(self._beyond_m)
         flat = np.concatenate(each_row, axis=1)
-        _, self._first, self.alike = np.unique(
+        _, self._first_rows, self.group_of_row = np.unique(
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
@@ -110,33 +111,36 @@ class Replay:
             EquilibriumError: the base finds no equilibrium.
         """
         together = [base, *variants]
-        mechanisms, held_m, forces_n = self._moved(together)
-        first = self._first
-        same = self.alike
-        if not np.array_equal(held_m, held_m[:, first][:, same]):
-            first = np.arange(len(self.course.time_s))
-            same = first
-        equilibrium = self._equilibrium(mechanisms[0], first, held_m[0], forces_n[0])
-        touched = [self._touched(mechanism, first) for mechanism in mechanisms]
-        loads_n = forces_n[:, first]
+        mechanisms, held_m, forces_n = self._with_effects(together)
+        first_rows = self._first_rows
+        groups = self.group_of_row
+        if not np.array_equal(held_m, held_m[:, first_rows][:, groups]):
+            first_rows = np.arange(len(self.course.time_s))
+            groups = first_rows
+        equilibrium = self._equilibrium(mechanisms[0], first_rows, held_m[0], forces_n[0])
+        loaded = [self._loaded_in_rows(mechanism, first_rows) for mechanism in mechanisms]
+        loads_n = forces_n[:, first_rows]
         response = EquilibriumResponse(
-            touched[0], equilibrium.joint_angles_rad, equilibrium.tensions_n, loads_n[0]
+            loaded[0], equilibrium.joint_angles_rad, equilibrium.tensions_n, loads_n[0]
         )
         tensions_n = [
             response.tensions_n(mechanism, held, loads)
-            for mechanism, held, loads in zip(touched, held_m[:, first], loads_n, strict=True)
+            for mechanism, held, loads in zip(loaded, held_m[:, first_rows], loads_n, strict=True)
         ]
-        readings_n = self._through(sensings(together), np.stack(tensions_n)[:, same])
+        readings_n = self._through(sensings(together), np.stack(tensions_n)[:, groups])
         return readings_n[1:] - readings_n[0]
 
-    def begun_at(self, start_rad: Array) -> Replay:
-        """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
+    def searching_from(self, start_rad: Array) -> Replay:
+        """The same, but the search for each row's rest begins at joint angles (R, 2N).
+
+        Each row is then searched by itself, as a group has no angles of its own.
+        """
         other = copy(self)
         other._start_rad = start_rad
         other.equilibrium_rad = start_rad
         other._latest = {}
-        other._first = np.arange(len(start_rad))
-        other.alike = other._first
+        other._first_rows = np.arange(len(start_rad))
+        other.group_of_row = other._first_rows
         return other
 
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
@@ -217,7 +221,7 @@ class Replay:
         """
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
-        mechanisms, held, forces = self._moved(variants)
+        mechanisms, held, forces = self._with_effects(variants)
         arm = QuasiStaticArm(mechanisms, variants, some_may_fail=some_may_fail)
         places = np.stack([mechanism.contact_m for mechanism in mechanisms])
         beyond = np.zeros((len(self.course.time_s), 1, 1))
@@ -242,14 +246,18 @@ class Replay:
         }
         known = {key: self._latest[key] for key in keys if key in self._latest}
         if new:
-            moved = self._moved(list(new.values()))
-            for key, mechanism, held_m, forces_n in zip(new, *moved, strict=True):
+            with_effects = self._with_effects(list(new.values()))
+            for key, mechanism, held_m, forces_n in zip(new, *with_effects, strict=True):
                 known[key] = self._at_rest_n(mechanism, held_m, forces_n, unborne_n)
         self._latest = dict(list({**self._latest, **known}.items())[-_ARMS_KEPT:])
         return np.stack([known[key] for key in keys])
 
-    def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array, Array]:
-        """Each arm with what its effects change of it, lengths (P, R, M) held, loads that act."""
+    def _with_effects(self, variants: Variants) -> tuple[list[Mechanism], Array, Array]:
+        """P arms as their effects make them: how they are built, driven and loaded.
+
+        They are their mechanisms, the lengths (P, R, M) that their actuators hold, m, and the
+        loads (P, R, N, 3) that act on them, N.
+        """
         zeros_rad = joint_zeros_rad(variants, self._nominal.segment_count)
         if zeros_rad is None:
             held = np.repeat(self._held_m[None], len(variants), axis=0)
@@ -279,44 +287,47 @@ class Replay:
         self, mechanism: Mechanism, held_m: Array, forces_n: Array, unborne_n: Array | None
     ) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
-        first = self._first
-        same = self.alike
-        if not np.array_equal(held_m, held_m[first][same]):
-            first = np.arange(len(held_m))
-            same = first
-        borne = np.ones(len(first), dtype=bool)
+        first_rows = self._first_rows
+        groups = self.group_of_row
+        if not np.array_equal(held_m, held_m[first_rows][groups]):
+            first_rows = np.arange(len(held_m))
+            groups = first_rows
+        borne = np.ones(len(first_rows), dtype=bool)
         try:
-            equilibrium = self._equilibrium(mechanism, first, held_m, forces_n)
+            equilibrium = self._equilibrium(mechanism, first_rows, held_m, forces_n)
         except EquilibriumError as error:
             if unborne_n is None or not error.failed.size:
                 raise
             borne[error.failed] = False
-            equilibrium = self._equilibrium(mechanism, first[borne], held_m, forces_n)
-        tensions = np.empty((len(first), mechanism.cable_count))
+            equilibrium = self._equilibrium(mechanism, first_rows[borne], held_m, forces_n)
+        tensions = np.empty((len(first_rows), mechanism.cable_count))
         tensions[borne] = equilibrium.tensions_n
         if unborne_n is not None:
-            tensions[~borne] = unborne_n[first][~borne]
-        angles_rad = self.course.command_rad[first]
+            tensions[~borne] = unborne_n[first_rows][~borne]
+        angles_rad = self.course.command_rad[first_rows]
         angles_rad[borne] = equilibrium.joint_angles_rad
-        self.equilibrium_rad = angles_rad[same]
+        self.equilibrium_rad = angles_rad[groups]
         if self._start_rad is None:
             self._start_rad = self.equilibrium_rad
-        return np.asarray(tensions[same])
+        return np.asarray(tensions[groups])
 
     def _equilibrium(
         self, mechanism: Mechanism, rows: NDArray[np.int64], held_m: Array, forces_n: Array
     ) -> Equilibrium:
         start = self.course.command_rad if self._start_rad is None else self._start_rad
         return solve_equilibrium(
-            self._touched(mechanism, rows),
+            self._loaded_in_rows(mechanism, rows),
             self.course.command_rad[rows],
             forces_n[rows],
             held_m=held_m[rows],
             start_rad=start[rows],
         )
 
-    def _touched(self, mechanism: Mechanism, rows: NDArray[np.int64]) -> Mechanism:
-        """The mechanism with the places of the loads in some rows."""
+    def _loaded_in_rows(self, mechanism: Mechanism, rows: NDArray[np.int64]) -> Mechanism:
+        """The mechanism whose `contact_m` (K, N) is where the loads of K `rows` act on it.
+
+        Where the course states no places it stays (N,), as the mechanism has it.
+        """
         if self._beyond_m is None:
             return mechanism
         return replace(mechanism, contact_m=mechanism.contact_m + self._beyond_m[rows])

@@ -146,7 +146,7 @@ class FeltModel:
             link=np.arange(count),
             place_m=self.middle_m,
             direction=directions,
-            reach_m=machine.links.touched_m,
+            touched_m=machine.links.touched_m,
         )
         return ReferenceContacts(loads, len(self.torque_names))
 

@@ -27,6 +27,7 @@ from scipy.special import logsumexp
 from cablesense_base import Array, some_of
 from cablesense_gap.robot.model import Robot, gravity_torque, inverse_dynamics
 from cablesense_gap.robot.motion import Motion
+from cablesense_recording.units import OTHER_TIME_UNITS
 
 SURE: Final = 0.99
 """Posterior probability from which on a reading other than the stated one is told."""
@@ -163,7 +164,13 @@ def _normalised(log_weight: Array) -> Array:
 
 
 def _other_motions(robot: Robot) -> Iterator[_Change]:
-    """Degrees at all hinges or one, and times in milliseconds or microseconds."""
+    """Degrees at all hinges or one, and times in another unit than seconds.
+
+    What is refused when a recording is read (`_check_units` of
+    `cablesense_recording.robot_recording`) does not come here: rows far apart between which
+    nothing moves, and angles beyond what joints turn. Here are those whose rows are near for
+    their unit, or whose joints turn little, as the efforts show them.
+    """
     joints = robot.joints
     hinges = np.array([unit == "rad" for unit in robot.position_units])
     ones = np.ones(len(joints))
@@ -175,8 +182,8 @@ def _other_motions(robot: Robot) -> Iterator[_Change]:
         of_one[number] = _PER_DEGREE
         text = f"position.{joints[number]} looks like degrees; it must be in rad"
         yield _Change(of_one, 1.0, text)
-    for unit, factor in (("milliseconds", 1e-3), ("microseconds", 1e-6)):
-        yield _Change(ones, factor, f"time_s looks like {unit}; it must be in seconds")
+    for unit, seconds in OTHER_TIME_UNITS.items():
+        yield _Change(ones, seconds, f"time_s looks like {unit}; it must be in seconds")
 
 
 class _Regressions:

@@ -85,14 +85,24 @@ class RobotSystem(System):
 
     unit = UNIT
     floor = 1.0
-    recording_name = ""
     far_off = 3.0
     """A robot has dozens of tolerances."""
 
-    def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
-        """`motion` is the measured one, `listed` are effects that the nominal robot has."""
+    def __init__(
+        self,
+        robot: Robot,
+        motion: Motion,
+        listed: Assignment,
+        recording_name: str = "",
+        recorded_row_count: int | None = None,
+    ) -> None:
+        """`motion` is the measured one, `listed` are effects that the nominal robot has.
+
+        `recorded_row_count` is that of the whole recording, by default of the rows compared.
+        """
         self.robot = robot
         self.name = robot.name
+        self.recording_name = recording_name
         self.listed = dict(listed)
         self.motion = motion
         self.comparison = _comparison_of(robot, motion)
@@ -113,9 +123,10 @@ class RobotSystem(System):
         self.scale = self.comparison.noise
         self.trial = self.comparison.trial
         self.compared = self.comparison.description
-        self.row_count, count = len(self.trial), int(self.trial.max()) + 1
-        self.fold = np.arange(count) % min(FOLDS, count)
-        self.counted = np.ones(self.row_count, dtype=bool)
+        self.recorded_row_count = recorded_row_count or len(self.trial)
+        trial_count = int(self.trial.max()) + 1
+        self.fold = np.arange(trial_count) % min(FOLDS, trial_count)
+        self.counted = np.ones(len(self.trial), dtype=bool)
         self._zeros: tuple[_Zeros, ...] = ()
         if motion.zeroed:
             self._zeros = self._of_zeros()
@@ -201,10 +212,8 @@ class RobotSystem(System):
     def with_listed(self, values: Assignment) -> RobotSystem:
         """The same robot with these values added to those that it lists, and known gains."""
         known = replace(self.motion, unknown_gain=np.zeros(len(self.robot.joints), dtype=bool))
-        system = RobotSystem(self.robot, known, added(self.listed, values))
-        system.recording_name = self.recording_name
-        system.row_count = self.row_count
-        return system
+        listed = added(self.listed, values)
+        return RobotSystem(self.robot, known, listed, self.recording_name, self.recorded_row_count)
 
     def conditions(self) -> Conditions:
         """Those of the channels' joints, with the nominal robot's load."""
@@ -501,14 +510,12 @@ def diagnose(
     _refuse(recording, [] if force else suspect)
     motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed, external=external)
 
-    system = RobotSystem(robot, motion, beside)
+    system = RobotSystem(robot, motion, beside, recording.name, len(recording))
     if not external:
         suspect += wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     _refuse(recording, [] if force else suspect)
     earlier = _judged_earlier(robot, motion, beside)
     healthy = None
-    system.recording_name = recording.name
-    system.row_count = len(recording)
     if reference is not None:
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
@@ -593,8 +600,7 @@ def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
     reference_motion = prepared(
         reference, system.robot, motion.compared_hz, motion.forward, **alike, gain=motion.gain
     )
-    known = RobotSystem(system.robot, reference_motion, system.listed)
-    known.recording_name = reference.name
+    known = RobotSystem(system.robot, reference_motion, system.listed, reference.name)
     columns, others = (set(each.comparison.columns) for each in (system, known))
     if columns != others:
         raise RecordingError(

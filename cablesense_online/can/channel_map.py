@@ -25,6 +25,7 @@ from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 from cablesense_msgs_py.messages import Level, Status
+from cablesense_recording.units import FORCE_UNITS
 
 MAX_MAP_BYTES = 200_000
 """A map or a file of scales is a page of text."""
@@ -78,8 +79,9 @@ class SignalPlace(FilePart):
 class Channel(SignalPlace):
     """The signal of one cable: `tension_n = scale_n_per_unit * (value - zero)`.
 
-    `value` and `zero` have the unit that the DBC file gives the signal. `status` names a signal
-    of the same message whose bits `status_masks` of the map interprets.
+    `value` and `zero` have the unit that the DBC file gives the signal. Where that is another than
+    N, the map must state `scale_n_per_unit` (`check_fit`). `status` names a signal of the same
+    message whose bits `status_masks` of the map interprets.
     """
 
     status: Name | None = None
@@ -239,11 +241,19 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
     """Check that every message and signal that the map names exists and can be read.
 
     Raises:
-        ChannelMapError: names the cable, the missing or unfit signal, and the existing ones.
+        ChannelMapError: names the cable, the missing or unfit signal, and the existing ones; or
+            the unit of a signal for which the map gives no scale.
     """
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
-        _signal_of(database, channel, where)
+        unit = (_signal_of(database, channel, where).unit or "").strip()
+        if unit not in ("", "N") and "scale_n_per_unit" not in channel.model_fields_set:
+            newtons = f": {FORCE_UNITS[unit]:.7g}" if unit in FORCE_UNITS else ""
+            raise ChannelMapError(
+                f"{where}: {channel.signal} is in {unit[:40]!r}, not in N, and map "
+                f"{channel_map.name} gives no scale; state its scale_n_per_unit{newtons}, the "
+                "newtons of one such unit"
+            )
         if channel.status is not None:
             status_place = SignalPlace(message=channel.message, signal=channel.status)
             if _signal_of(database, status_place, where).is_float:

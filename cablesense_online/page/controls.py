@@ -64,7 +64,7 @@ class Controls:
         self._sliders = shown.sliders
         self._command_values = command_values
         self._words = shown.words
-        self._reach_m = shown.touched_m
+        self._touched_m = shown.touched_m
         self._friction = shown.felt.surface_friction
         self._pushing = False
         self._pulled = False
@@ -76,8 +76,8 @@ class Controls:
         step_n = strongest_n / _FORCE_STEPS
         with gui.add_folder(f"Push the {self._words.machine}"):
             self._link = gui.add_dropdown(self._words.link, links, initial_value=links[-1])
-            nearest_mm = 1e3 * self._reach_m.min()
-            farthest_mm = 1e3 * self._reach_m.max()
+            nearest_mm = 1e3 * self._touched_m.min()
+            farthest_mm = 1e3 * self._touched_m.max()
             self._place = gui.add_slider(
                 "place, mm",
                 *(nearest_mm, farthest_mm, 1.0),
@@ -162,7 +162,7 @@ class Controls:
         """Choose where to push: link 1 … N and the place nearest to `place_m` in its reach."""
         with self._lock:
             if not self._closed:
-                within_m = float(np.clip(place_m, *self._reach_m[link - 1]))
+                within_m = float(np.clip(place_m, *self._touched_m[link - 1]))
                 label = self._words.links[link - 1]
                 self._link.value = label  # type: ignore[misc]  # as in `_go_home`
                 self._place.value = round(1e3 * within_m)  # type: ignore[misc]
@@ -182,7 +182,7 @@ class Controls:
                 self._send_push(released=not self._pushing)
                 return
             self._pulled = True
-            within_m = float(np.clip(contact.contact_m, *self._reach_m[contact.segment - 1]))
+            within_m = float(np.clip(contact.contact_m, *self._touched_m[contact.segment - 1]))
             newtons = min(contact.magnitude_n, self._newtons.max)
             carried_n = self._friction * newtons if self._friction else math.inf
             most_n = min(carried_n, self._along.max)
@@ -229,7 +229,7 @@ class Controls:
             self._actions.push(NO_CONTACT, False)
         elif self._pushing and self._link.value in self._link.options:
             segment = 1 + self._words.links.index(self._link.value)
-            place_m = float(np.clip(1e-3 * _within(self._place), *self._reach_m[segment - 1]))
+            place_m = float(np.clip(1e-3 * _within(self._place), *self._touched_m[segment - 1]))
             force_n = _within(self._newtons)
             along_n = _within(self._along)
             contact = Contact(segment, _within(self._angle), force_n, place_m, along_n)

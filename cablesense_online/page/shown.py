@@ -191,7 +191,7 @@ class ShownMachine(Protocol):
         ...
 
     @property
-    def free_m(self) -> Array:
+    def unobstructed_m(self) -> Array:
         """(N, 2) of these, what no drawn part is in the way of."""
         ...
 

@@ -89,7 +89,7 @@ class ShownArm:
         )
         self.strongest_n = contact_range_n(arm)
         self.touched_m: Array = places.touched_m
-        self.free_m: Array = np.maximum(places.touched_m, mechanism.plate_offset_m)
+        self.unobstructed_m: Array = np.maximum(places.touched_m, mechanism.plate_offset_m)
         self.usual_m: Array = mechanism.contact_m
         hole_m = routing_radius_m(mechanism)
         self.surface_m = np.full(count, _BODY_SHARE * hole_m)

@@ -58,7 +58,7 @@ class ShownModel:
         self.panels = tuple(_panels(machine))
         self.strongest_n: float = machine.source.file.touch.largest_n
         self.touched_m: Array = links.touched_m
-        self.free_m: Array = links.touched_m
+        self.unobstructed_m: Array = links.touched_m
         self.usual_m: Array = links.touched_m.mean(axis=1)
         names = [machine.model.body(b).name or f"body_{b}" for b in range(machine.model.nbody)]
         self.bodies = tuple(f"/machine/{number}_{name}" for number, name in enumerate(names))

@@ -292,7 +292,7 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
 
 def _places_m(nominal: Nominal, segments: Sequence[int], rng: np.random.Generator) -> Array:
     """(T,) where the loads of trials on these segments act; NaN without a load."""
-    near, far = nominal.reach_m.T
+    near, far = nominal.touched_m.T
     inside = (far - near) / 6.0
     at_m = np.stack([near + inside, nominal.contact_m, far - inside], axis=1)
     orders = rng.spawn(1)[0].permuted(np.tile(np.arange(3), (len(at_m), 1)), axis=1)

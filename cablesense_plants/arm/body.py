@@ -129,7 +129,7 @@ class Nominal:
         body: one joint a segment, each with its mass on the axis at half length.
         length_m: (N,) joint centre to joint centre.
         contact_m: (N,) from a segment's joint centre to its contact point, on the axis.
-        reach_m: (N, 2) from there to where a segment can be touched, nearest and farthest.
+        touched_m: (N, 2) from there to where a segment can be touched, nearest and farthest.
         per_segment: cables that end on a segment.
         radius_m: (M,) of a cable's guide holes about the axis.
         pretension_n: with the arm straight and weightless.
@@ -141,7 +141,7 @@ class Nominal:
     segment_count: int
     length_m: Array
     contact_m: Array
-    reach_m: Array
+    touched_m: Array
     per_segment: int
     radius_m: Array
     pretension_n: float
@@ -214,9 +214,9 @@ def _nominal(text: Any) -> Nominal:
         before_m = np.cumsum(length_m) - length_m + 2.0 * offset_m
         alone_m_n = (run_m + before_m[segment]) / float(cables["axial_rigidity_n"])
         stiffness_n_m = 1.0 / (alone_m_n + 1.0 / float(text["actuators"]["kp_n_m"]))
-    reach_m = (text.get("touch") or {}).get("reach_m")
-    if reach_m is None:
-        reach_m = np.stack([np.full(count, offset_m), length_m], axis=1)
+    touched_m = (text.get("touch") or {}).get("reach_m")
+    if touched_m is None:
+        touched_m = np.stack([np.full(count, offset_m), length_m], axis=1)
     turn = cables["angle_deg"]
     cable = np.tile(np.arange(per_segment), count)
     angle_deg = turn.get("first", 0.0) + turn["per_segment"] * segment + turn["per_cable"] * cable
@@ -246,7 +246,7 @@ def _nominal(text: Any) -> Nominal:
         segment_count=count,
         length_m=length_m,
         contact_m=contact_m,
-        reach_m=np.broadcast_to(np.asarray(reach_m, dtype=float), (count, 2)),
+        touched_m=np.broadcast_to(np.asarray(touched_m, dtype=float), (count, 2)),
         per_segment=per_segment,
         radius_m=radius_m,
         pretension_n=pretension_n,

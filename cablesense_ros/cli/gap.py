@@ -314,7 +314,10 @@ def predict(
         system = RobotSystem(robot, motion, beside)
         write_prediction(out, system)
         gaps = system.gaps()
-        figures = {"rows": system.row_count, "gap": {name: gap for name, _, gap, _ in gaps}}
+        figures = {
+            "rows": system.recorded_row_count,
+            "gap": {name: gap for name, _, gap, _ in gaps},
+        }
         sizes = ", ".join(
             f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in gaps
         )

@@ -489,7 +489,7 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
     """Draw the bound along the arm, as PNG or SVG by the file's ending."""
     from matplotlib.figure import Figure
 
-    reach = touched_places(arm).touched_m
+    touched_m = touched_places(arm).touched_m
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     titles = {
         "place_mm": "place, mm",
@@ -498,7 +498,7 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
     }
     panels = dict(zip(titles, figure.subplots(1, 3, sharex=True), strict=True))
     for bend, style, colour in ((0.0, "--", "C0"), (bend_deg, "-", "C1")):
-        for n, (low, high) in enumerate(reach):
+        for n, (low, high) in enumerate(touched_m):
             places_m = np.linspace(low, high, _PLACES)
             bounds = [_contact_bound(arm, n, force_n, bend, place_m) for place_m in places_m]
             label = f"joints within {bend:g}°" if n == 0 else None
@@ -507,7 +507,9 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
                 axes.semilogy(n + 1 + places_m / high, median, style, color=colour, label=label)
     for key, axes in panels.items():
         axes.set(
-            title=titles[key], xlabel="along the arm, segments", xticks=range(1, len(reach) + 2)
+            title=titles[key],
+            xlabel="along the arm, segments",
+            xticks=range(1, len(touched_m) + 2),
         )
         axes.grid(which="both", alpha=0.2)
     panels["place_mm"].legend()

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_sim.joint_motion import SUDDEN_OVER_STEADY
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Indices, Machine
 
@@ -31,8 +32,6 @@ _STEP = 1e-6
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
 _MOST_STEPS = 100
-_SWING = 2.0
-"""A sudden acceleration swings an undamped machine by twice what a steady one bends it."""
 _LEAST_SHARE = 1e-6
 """Shortest part of a step that is tried before a search for rest ends."""
 _LONGEST_STEP = 0.5
@@ -259,7 +258,7 @@ class MachineStatics:
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
         slope = self._coordinates.slope(data.qpos)
-        swing = _SWING * (slope.T @ inertia @ slope) * acceleration
+        swing = SUDDEN_OVER_STEADY * (slope.T @ inertia @ slope) * acceleration
         damping = (slope.T * model.dof_damping) @ slope @ speed
         return np.asarray(swing @ swing.T + np.diag(damping**2))
 

@@ -12,7 +12,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.tolerances import ArmParameters
-from cablesense_sim.touch import TouchedPlaces
+from cablesense_sim.touch import TouchedPlaces, touched_places
 from cablesense_sim.uncertain_arm import CableFriction
 from cablesense_training.law.estimator import ArmEstimator
 
@@ -37,14 +37,14 @@ class LawArm:
         self.mechanism = mechanism_of(arm) if mechanism is None else mechanism
         self.parameters = ArmParameters(self.mechanism, arm.tolerances)
         count = self.mechanism.segment_count
-        self.reach_m = np.stack([np.zeros(count), self.mechanism.segment_length_m], axis=1)
+        self.touched_m = touched_places(arm).touched_m
         self.estimator = ArmEstimator(
             self.mechanism,
             self.mechanism,
             self.parameters,
             NOISE_STD_N**2,
             CableFriction(0.0, *wraps, np.full(self.mechanism.cable_count, run_compliance)),
-            TouchedPlaces(self.reach_m, np.full(count, radius_m), friction),
+            TouchedPlaces(self.touched_m, np.full(count, radius_m), friction),
         )
 
     def at(self, kind):

@@ -198,6 +198,6 @@ class PulleySystem(Pulley, System):
         super().__init__(done)
         self.readings = readings
         self.trial = done.trial
-        self.row_count = len(readings)
+        self.recorded_row_count = len(readings)
         self.fold = np.arange(done.trial.max() + 1) // 3 % 4
         self.counted = np.ones(len(readings), dtype=bool)

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from estimation_settings import estimation_settings
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
 
+from benchmarks.estimation_settings import estimation_settings
 from cablesense_contact.calibration_file import calibration_bytes
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from estimation_settings import estimation_settings
 
+from benchmarks.estimation_settings import estimation_settings
 from cablesense_contact.estimate import Estimate
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_online.contacts import NetworkContacts

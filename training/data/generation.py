@@ -149,7 +149,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
         unloaded_n=tare,
         slack_cables=(borne <= 0.0).sum(axis=1),
         redrawn=redrawn,
-        **protocol.cases(resting.reach_m, points)._asdict(),
+        **protocol.cases(resting.touched_m, points)._asdict(),
     )
 
 
@@ -159,7 +159,7 @@ class _Resting:
     def __init__(self, arm: Arm, protocol: Protocol, seed: int, chunk: int) -> None:
         self._protocol = protocol
         self._mechanism = mechanism_of(arm)
-        self.reach_m = protocol.reach_m(arm)
+        self.touched_m = protocol.touched_m(arm)
         self._listed = entries_of(arm)
         self._varied = bool(self._listed) or protocol.randomise is not None
         self._seed = seed, chunk
@@ -170,7 +170,7 @@ class _Resting:
 
         `points` (B, dimensions) lie in the unit cube, `rows` (B,) are theirs in the chunk.
         """
-        cases = self._protocol.cases(self.reach_m, points)
+        cases = self._protocol.cases(self.touched_m, points)
         tensions_n = np.empty((3, len(points), self._mechanism.cable_count))
         blocks, members = np.divmod(rows, _BLOCK_SAMPLES if self._varied else CHUNK_SAMPLES)
         for block in np.unique(blocks):

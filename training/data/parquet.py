@@ -127,7 +127,7 @@ def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
             arrays[array] = np.where(kept, arrays.pop(name)[:, None], 0.0)
         arrays["contacts"] = contacts
     if not protocol.anywhere:  # at the arm's contact points
-        arrays["places_m"] = np.where(arrays["contacts"], protocol.reach_m(stored)[:, 0], 0.0)
+        arrays["places_m"] = np.where(arrays["contacts"], protocol.touched_m(stored)[:, 0], 0.0)
         arrays["along_n"] = np.zeros_like(arrays["places_m"])
     dataset = Dataset(arm=stored, protocol=protocol, seed=seed, **arrays)
     _require_possible_labels(path, dataset)
@@ -222,7 +222,7 @@ def _require_possible_labels(path: Path, dataset: Dataset) -> None:
             f"{path}: row {row} has {what} of {force[row, n]} N at {angle[row, n]} degrees; a "
             f"contact has {low:g} to {high:g} N and 0 to below 360 degrees, none has 0 of both"
         )
-    near, far = dataset.protocol.reach_m(dataset.arm).T
+    near, far = dataset.protocol.touched_m(dataset.arm).T
     wrong = np.argwhere(contacts & ~((place >= near) & (place <= far)))
     if len(wrong):
         row, n = wrong[0]

@@ -209,7 +209,7 @@ class Protocol(Options, ABC):
             del options["randomise"]
         return options
 
-    def reach_m(self, arm: Arm) -> Array:
+    def touched_m(self, arm: Arm) -> Array:
         """(N, 2) ranges of the places of contacts, from the segments' joint centres."""
         points = np.array(of_each_segment(arm.segments.contact_m, arm.segment_count))
         return np.stack([points, points], axis=1)
@@ -219,16 +219,19 @@ class Protocol(Options, ABC):
         joints = 2 * segment_count if self.pose == "random" else 0
         return self._contact_dimensions(segment_count) + joints
 
-    def cases(self, reach_m: Array, points: Array) -> Cases:
-        """The poses and contacts at points (B, dimensions) of the unit cube, within a reach."""
-        segment_count = len(reach_m)
+    def cases(self, touched_m: Array, points: Array) -> Cases:
+        """The poses and contacts at points (B, dimensions) of the unit cube.
+
+        Contacts are within `touched_m` (N, 2) of the segments.
+        """
+        segment_count = len(touched_m)
         split = self._contact_dimensions(segment_count)
         if self.pose == "random":
             command = np.deg2rad(self.pose_range_deg) * (2.0 * points[:, split:] - 1.0)
         else:
             command = np.zeros((len(points), 2 * segment_count))
         touches = self._contacts(segment_count, points[:, :split])
-        contacts, low, high = touches.contacts, *reach_m.T
+        contacts, low, high = touches.contacts, *touched_m.T
         magnitude = self.force_low_n + (self.force_high_n - self.force_low_n) * touches.force
         return Cases(
             command_rad=command,
@@ -331,8 +334,8 @@ class AnywhereContact(Protocol):
     two_contacts_fraction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15
     axial_share: Annotated[float, Field(ge=0.0, le=2.0)] = 0.3
 
-    def reach_m(self, arm: Arm) -> Array:
-        """(N, 2) the reach of the arm file."""
+    def touched_m(self, arm: Arm) -> Array:
+        """(N, 2) where the arm file says that it is touched."""
         return touched_places(arm).touched_m
 
     def _contact_dimensions(self, segment_count: int) -> int:
@@ -402,6 +405,6 @@ def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) 
 
 
 def _touched_at_its_end(arm: Arm) -> Arm:
-    """The arm with its contact points where touch bends it most: at the far ends of the reach."""
+    """The arm with its contact points where touch bends it most: at the far ends of each."""
     ends = touched_places(arm).touched_m[:, 1].tolist()
     return arm.model_copy(update={"segments": arm.segments.model_copy(update={"contact_m": ends})})

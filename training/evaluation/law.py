@@ -533,10 +533,10 @@ def bound_std(arm: Arm, mechanism: Mechanism, touches: Touches) -> Array:
     by[:, 3, 4] = radius_m * x / lateral_n
     whole = np.swapaxes(by, 1, 2) @ information @ by
     axial_std_n = places.friction * lateral_n if places.friction else _AXIAL_STD_N
-    reach_m = (places.touched_m[:, 1] - places.touched_m[:, 0])[truth.segment - 1]
+    span_m = (places.touched_m[:, 1] - places.touched_m[:, 0])[truth.segment - 1]
     whole[:, 0, 0] += 1.0 / np.square(axial_std_n)
     whole[:, [1, 2], [1, 2]] += _LATERAL_STD_N**-2
-    whole[:, 3, 3] += 12.0 / reach_m**2
+    whole[:, 3, 3] += 12.0 / span_m**2
     whole[:, 4, 4] += 12.0
     covariance = np.linalg.inv(whole)
 

@@ -308,7 +308,7 @@ def force_covariance_n2(dataset: Dataset) -> Array:
     """
     shape = len(dataset), dataset.arm.segment_count
     segments = np.broadcast_to(np.arange(1, shape[1] + 1), shape)
-    places_m = np.broadcast_to(dataset.protocol.reach_m(dataset.arm)[:, 0], shape)
+    places_m = np.broadcast_to(dataset.protocol.touched_m(dataset.arm)[:, 0], shape)
     gain = tension_gain(dataset, segments, places_m, dataset.local_forces_n)
     lateral = gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3] * dataset.contacts[:, None, :, None]
     flat = lateral.reshape(*gain.shape[:2], -1)

@@ -12,7 +12,7 @@ from cablesense_sim.parameter_groups import CARRIED_FRICTION
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_training.law.friction import CarriedTensions, guides_up_to_joints
 from cablesense_training.law.geometry import SegmentFrames, Spans, constant
-from cablesense_training.law.parameters import Parameters, groups_by_kind, places_of
+from cablesense_training.law.parameters import Parameters, groups_by_kind, positions_of
 from cablesense_training.law.weight import Weighed
 
 _PLAIN_KINDS = ("cable_stiffness", "pretension", "run_compliance", "holes")
@@ -63,10 +63,10 @@ class ParameterSlopes(nn.Module):
         carried = kinds[CARRIED_FRICTION]
         sensors = sum((kinds[kind] for kind in _SENSOR_KINDS), ())
         others = sum((kinds[kind] for kind in _OTHER_KINDS), ())
-        places = places_of(parameters, (*plain, *carried, *sensors, *others))
-        self.are_in_order = bool((places == np.arange(len(places))).all())
+        positions = positions_of(parameters, (*plain, *carried, *sensors, *others))
+        self.are_in_order = bool((positions == np.arange(len(positions))).all())
         # of each parameter the column that `forward` computes for it
-        self.columns = constant(np.argsort(places))
+        self.columns = constant(np.argsort(positions))
         self.reaches = constant(guides_up_to_joints(segment_count)[:, None, :, None])
         # each of these groups has one parameter of each cable, or sensor
         self.same_cable = constant(np.tile(np.eye(cable_count), len(plain) + len(carried)))

@@ -61,8 +61,8 @@ def groups_by_kind(segment_count: int) -> Mapping[str, tuple[str, ...]]:
     }
 
 
-def places_of(parameters: ArmParameters, groups: tuple[str, ...]) -> NDArray[np.int64]:
-    """Where the parameters of some groups stand in θ, one group after another.
+def positions_of(parameters: ArmParameters, groups: tuple[str, ...]) -> NDArray[np.int64]:
+    """Indices of the parameters of some groups in θ, one group after another.
 
     Raises:
         ValueError: the arm has other groups than these.
@@ -101,9 +101,9 @@ class ArmNumbers(nn.Module):
             kind: sum(slices[name].stop - slices[name].start for name in names)
             for kind, names in kinds.items()
         }
-        places = places_of(parameters, sum(kinds.values(), ()))
-        self.are_in_order = bool((places == np.arange(len(places))).all())
-        self.places = constant(places)
+        positions = positions_of(parameters, sum(kinds.values(), ()))
+        self.are_in_order = bool((positions == np.arange(len(positions))).all())
+        self.positions = constant(positions)
         self.cables = cables
         nominal, scale = _nominal(mechanism, parameters, cables.radius_m)
         self.nominal = constant(nominal)
@@ -118,7 +118,7 @@ class ArmNumbers(nn.Module):
         count = self.segment_count
         values = self.nominal + self.scale * mean
         if not self.are_in_order:
-            values = values[self.places]
+            values = values[self.positions]
         parts = values.split(list(self.size_by_kind.values()))
         by_kind = dict(zip(self.size_by_kind, parts, strict=True))
         hole_shape = (2, count + 1, self.cable_count)
@@ -148,7 +148,7 @@ def gravity_by_tilt(mechanism: Mechanism) -> Matrix:
 def _nominal(
     mechanism: Mechanism, parameters: ArmParameters, radius_m: Matrix
 ) -> tuple[Matrix, Matrix]:
-    """The numbers of an arm as its file describes it, in the places of its parameters θ.
+    """The numbers of an arm as its file describes it, in the order of its parameters θ.
 
     Of holes they are radius and offset around. With the second, n + s θ are those of another arm.
     """

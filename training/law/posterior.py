@@ -50,8 +50,8 @@ RADIUS_STD = 18.0**-0.5
 
 _SMALLEST_LATERAL_N = 0.05
 """Lateral forces count as no smaller where something is divided by them or scales with them."""
-PLACES = 33
-"""Places of a segment's grid."""
+GRID_POINTS = 33
+"""Number of points of a segment's grid, on which the place of a contact is integrated."""
 _GRID_HALF_WIDTH_STD = 5.0
 """Standard deviations of the place that the grid covers to each side."""
 _BEYOND_ENDS_STD = 3.0
@@ -114,14 +114,14 @@ class PosteriorOfContact(nn.Module):
     """
 
     def __init__(self, touched: TouchedPlaces, felt_across: Matrix) -> None:
-        reach_m, radius_m, friction = touched
+        touched_m, radius_m, friction = touched
         super().__init__()
         self.on_surface = friction > 0.0
         self.friction = friction
         radius = radius_m[:, None, None]
-        self.middle_m = float(reach_m.mean())
-        low = reach_m[:, :1, None]
-        high = reach_m[:, 1:, None]
+        self.middle_m = float(touched_m.mean())
+        low = touched_m[:, :1, None]
+        high = touched_m[:, 1:, None]
         offset = _BEYOND_ENDS_STD * friction * radius * np.hypot(RADIUS_MEAN, RADIUS_STD)
         self.mean_radius_m = constant(RADIUS_MEAN * radius)
         self.radius_variance_m2 = constant(RADIUS_STD**2 * radius**2)
@@ -133,9 +133,9 @@ class PosteriorOfContact(nn.Module):
         self.ends_m = constant(np.concatenate([low, high], axis=1))
         self.first_m = constant(low - offset)
         self.last_m = constant(high + offset)
-        self.shares = constant(np.linspace(0.0, 1.0, PLACES))
-        self.coefficients = (-1, len(reach_m), len(_ENTRIES) + 3, 2)
-        self.matrices = (-1, len(reach_m), 3, 3, PLACES)
+        self.shares = constant(np.linspace(0.0, 1.0, GRID_POINTS))
+        self.coefficients = (-1, len(touched_m), len(_ENTRIES) + 3, 2)
+        self.matrices = (-1, len(touched_m), 3, 3, GRID_POINTS)
         fixed, by_place = _rows_of_fits()
         self.fixed_rows = constant(fixed)
         self.by_place_rows = constant(by_place)
@@ -151,7 +151,7 @@ class PosteriorOfContact(nn.Module):
         self.has_plane = bool(in_plane.any())
         self.in_plane = constant(in_plane[..., None, None].astype(float))
         self.is_axial = constant(np.append(_ENTRIES == 0, np.zeros(3))[:, None].astype(float))
-        total_m = float((reach_m[:, 1] - reach_m[:, 0]).sum())
+        total_m = float((touched_m[:, 1] - touched_m[:, 0]).sum())
         # of the place, of the direction, and of the magnitude: 1 / (2π f F L), the force in its
         # plane; with 2π of the Gaussian integral over the lateral force
         self.log_prior = -float(np.log(LARGEST_N * total_m))
@@ -222,7 +222,7 @@ class PosteriorOfContact(nn.Module):
         scale = determinant * density / axial_precision
         log_density = 0.5 * (gain - torch.log(scale))
 
-        step = span / (PLACES - 1)
+        step = span / (GRID_POINTS - 1)
         place = s
         place_variance = step**2 / 12.0 + 0.0 * s
         if self.on_surface:

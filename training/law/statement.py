@@ -17,8 +17,8 @@ from cablesense_training.law.evidence import Evidence
 from cablesense_training.law.geometry import Matrix, constant
 from cablesense_training.law.hypotheses import RivalHypotheses
 from cablesense_training.law.posterior import (
+    GRID_POINTS,
     LARGEST_N,
-    PLACES,
     ContactPosterior,
     PosteriorOfContact,
 )
@@ -113,7 +113,7 @@ class ContactStatement(nn.Module):
         self.moment_variances = constant(np.array([_flat(_AROUND_Y, 6), _flat(_AROUND_Z, 6)]))
         self.lateral_entries = constant(lateral)
         self.lateral_variances = constant(1 + lateral)  # behind the variance of the place
-        self.grid_shape = (-1, 20, PLACES)
+        self.grid_shape = (-1, 20, GRID_POINTS)
         self.unfelt = None if felt_across is None else constant(_unfelt_covariance(felt_across))
 
     def forward(self, seen: Evidence) -> Statement:

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from estimation_settings import estimation_settings
 
+from benchmarks.estimation_settings import estimation_settings
 from cablesense_msgs_py.messages import BREATH_END, Level, Load
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.breath_readings import BreathState, Mark, after_reading

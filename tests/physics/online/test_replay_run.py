@@ -88,6 +88,28 @@ def test_a_recording_that_begins_later_has_the_calibration_that_is_latched(made,
     assert got.compared == got.samples
 
 
+def test_what_was_answered_before_the_first_calibration_of_a_recording_is_counted_apart(
+    made, tmp_path
+):
+    calibrated_ns = [record[1] for record in made.records if record[0] == topics.CALIBRATION_USED]
+    first_ns, last_ns = min(calibrated_ns), max(calibrated_ns)
+    early = [
+        record
+        for record in made.records
+        if record[0] == topics.WRENCH and first_ns <= record[1] < last_ns
+    ]
+    records = [
+        record
+        for record in made.records
+        if record[0] != topics.CALIBRATION_USED or record[1] == last_ns
+    ]
+    got = replayed(made.write(tmp_path / "early.mcap", records))
+    assert early
+    assert (got.samples, got.not_replayed) == (200, len(early))
+    assert got.compared == got.samples - got.not_replayed
+    assert any(line.startswith(f"{len(early):>10}  not answered again") for line in got.lines)
+
+
 def test_a_changed_bit_is_found_and_the_command_fails(made, tmp_path):
     records = list(made.records)
     changed_record = [i for i, record in enumerate(records) if record[0] == topics.WRENCH][100]

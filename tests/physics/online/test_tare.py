@@ -1,9 +1,11 @@
 """The unloaded state: when a tare is taken, what it changes, and how it is taken back."""
 
+import re
+
 import numpy as np
 import pytest
-from estimation_settings import estimation_settings
 
+from benchmarks.estimation_settings import estimation_settings
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
@@ -79,6 +81,9 @@ def test_a_tare_needs_enough_steady_readings_at_one_pose(law):
     for k in range(5):
         arm.add(tensions(STRAIGHT) + 3.0 * (k % 2))
     assert " varies by 1.47 N (" in arm.refusal
+    said = re.search(r"set tare_steady_n to ([0-9.]+) or more$", arm.refusal)
+    accepting = estimation_settings(tare_steady_n=float(said[1]))
+    assert refusal(arm.state, accepting, FeltArm(ARM).channels) == ""
     arm.fill(STRAIGHT)
     assert arm.refusal == ""
     arm.fill(BENT, count=0)

@@ -83,6 +83,7 @@ def test_torque_without_gravity_is_told_before_any_fit(robot):
         ({"position": (1.0, DEGREES)}, "position.elbow looks like degrees"),
         ({"time_s": 1e3}, "time_s looks like milliseconds"),
         ({"time_s": 1e6}, "time_s looks like microseconds"),
+        ({"time_s": 1e9}, "time_s looks like nanoseconds"),
     ],
 )
 def test_positions_and_times_in_another_unit_are_told_by_their_name(robot, change, said):

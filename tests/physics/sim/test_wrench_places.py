@@ -13,7 +13,7 @@ from cablesense_sim.touch import touched_places
 from tests.helpers.effect_arms import bent
 
 MECHANISM = mechanism_of(open_arm("cdsm"))
-REACH_M = touched_places(open_arm("cdsm")).touched_m
+TOUCHED_M = touched_places(open_arm("cdsm")).touched_m
 
 
 def point_m(pose, segment, place_m):
@@ -22,7 +22,7 @@ def point_m(pose, segment, place_m):
 
 
 def found(pose, force_n, at_m):
-    return contact_of_wrench(MECHANISM, pose, REACH_M, force_n, np.cross(at_m, force_n))
+    return contact_of_wrench(MECHANISM, pose, TOUCHED_M, force_n, np.cross(at_m, force_n))
 
 
 @given(
@@ -36,7 +36,7 @@ def test_the_place_of_a_push_anywhere_is_found_whatever_its_axial_part(
     seed, segment, share, angle_rad, along_n
 ):
     pose = bent(seed, most_deg=8.0)
-    nearest_m, farthest_m = REACH_M[segment - 1]
+    nearest_m, farthest_m = TOUCHED_M[segment - 1]
     place_m = nearest_m + share * (farthest_m - nearest_m)
     local_n = np.array([along_n, 40.0 * np.sin(angle_rad), 40.0 * np.cos(angle_rad)])
     force_n = kinematics.segment_rotations(MECHANISM, pose)[segment - 1] @ local_n
@@ -67,4 +67,6 @@ def test_a_line_beside_the_axis_acts_at_the_nearest_point_up_to_a_limit():
 )
 def test_a_wrench_that_acts_on_no_one_segment_is_refused(force_n, torque_n_m):
     with pytest.raises(LoadError):
-        contact_of_wrench(MECHANISM, np.zeros(8), REACH_M, np.array(force_n), np.array(torque_n_m))
+        contact_of_wrench(
+            MECHANISM, np.zeros(8), TOUCHED_M, np.array(force_n), np.array(torque_n_m)
+        )

@@ -9,6 +9,7 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.contact_bound import contact_information
+from tests.helpers.arm_variants import variant
 from tests.helpers.law_arms import NOISE_STD_N, LawArm, Push
 
 SAME_IN_A_MIRROR = (
@@ -114,6 +115,27 @@ def test_deviations_on_a_known_arm_are_those_of_the_cramer_rao_bound(lab):
             bound = np.sqrt(np.diag(np.linalg.inv(information)))
             stated = np.sqrt(np.diag(answer.contact_covariance))
             np.testing.assert_allclose(stated[[2, 3, 0]], bound[[1, 2, 3]], rtol=0.2)
+
+
+def test_contacts_are_stated_where_the_arm_is_said_to_be_touched(lab):
+    """Within `touch.reach_m`; a push outside of it is none that this estimator explains."""
+    near_m, far_m = 0.05, 0.09
+    within = LawArm(variant({"touch": {"reach_m": [near_m, far_m]}}, "cdsm_lab"))
+    rng = np.random.default_rng(8)
+    mean, covariance = prior(lab)
+    for place_m in (0.02, 0.07, 0.12):
+        command = lab.command(rng)
+        push = Push(2, place_m, (0.0, 24.0, 32.0))
+        reading = lab.read(mean, command, [push])
+        whole = lab.answer(reading, command, mean, covariance)
+        answer = within.answer(reading, command, mean, covariance)
+        assert near_m <= answer.place_ci95_m[0] <= answer.place_m <= answer.place_ci95_m[1]
+        assert answer.place_ci95_m[1] <= far_m
+        assert whole.place_m == pytest.approx(place_m, abs=0.01)
+        if near_m <= place_m <= far_m:
+            assert answer.place_m == pytest.approx(place_m, abs=0.01)
+        else:
+            assert answer.contact_chi2 > whole.contact_chi2 + 10.0
 
 
 def untouched(lab, rng):

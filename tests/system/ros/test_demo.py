@@ -40,7 +40,7 @@ from cablesense_sim.arm import open_arm
 from tests.helpers.example_machines import MACHINES
 
 SHOWN = ShownArm(open_arm("cdsm"))
-REACH_M = np.tile([0.02, 0.13], (4, 1))
+TOUCHED_M = np.tile([0.02, 0.13], (4, 1))
 SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
 
 
@@ -142,15 +142,15 @@ def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
 
 
 def test_a_minute_visits_every_segment_straight_and_bent():
-    script = make_script(SHOWN, REACH_M, 60.0, seed=0)
+    script = make_script(SHOWN, TOUCHED_M, 60.0, seed=0)
     assert script[-1].end_s <= 60.0
     assert {push.contact.segment for push in script} == {1, 2, 3, 4}
     assert {push.bent for push in script} == {True, False}
     assert all(push.bent == bool(push.command.any()) for push in script)
     assert all(a.end_s < b.start_s for a, b in pairwise(script))
     assert all(push.move_s < push.start_s < push.end_s for push in script)
-    again = make_script(SHOWN, REACH_M, 60.0, seed=0)
-    other = make_script(SHOWN, REACH_M, 60.0, seed=8)
+    again = make_script(SHOWN, TOUCHED_M, 60.0, seed=0)
+    other = make_script(SHOWN, TOUCHED_M, 60.0, seed=8)
     assert [p.contact for p in again] == [p.contact for p in script]
     assert [p.contact for p in other] != [p.contact for p in script]
     newtons = np.array([push.contact.magnitude_n for push in script])
@@ -159,9 +159,9 @@ def test_a_minute_visits_every_segment_straight_and_bent():
 
 
 def test_pushes_go_anywhere_within_the_reach_with_a_small_axial_part():
-    contacts = [push.contact for push in make_script(SHOWN, REACH_M, 600.0, seed=0)]
+    contacts = [push.contact for push in make_script(SHOWN, TOUCHED_M, 600.0, seed=0)]
     places_m = np.array([each.contact_m for each in contacts])
-    nearest_m, farthest_m = REACH_M[[each.segment - 1 for each in contacts]].T
+    nearest_m, farthest_m = TOUCHED_M[[each.segment - 1 for each in contacts]].T
     share = (places_m - nearest_m) / (farthest_m - nearest_m)
     assert 0.0 <= share.min() < 0.1 < 0.9 < share.max() <= 1.0
     along = np.array([each.along_n / each.magnitude_n for each in contacts])
@@ -173,7 +173,7 @@ def test_pushes_go_anywhere_within_the_reach_with_a_small_axial_part():
 @pytest.mark.parametrize("duration_s", [-1.0, 3.9, float("nan")])
 def test_no_script_without_room_for_a_push(duration_s):
     with pytest.raises(ScriptError, match="one push takes"):
-        make_script(SHOWN, REACH_M, duration_s, seed=0)
+        make_script(SHOWN, TOUCHED_M, duration_s, seed=0)
 
 
 def results_of(script, estimate_of, unknown=None):
@@ -204,7 +204,7 @@ def exact(push):
 
 
 def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
-    script = make_script(SHOWN, REACH_M, 60.0, seed=0)
+    script = make_script(SHOWN, TOUCHED_M, 60.0, seed=0)
     played, results = results_of(script, exact)
     summarised = summary(results)
     assert summarised["segment_right"] == summarised["pushes"] == len(script)
@@ -229,7 +229,7 @@ def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
 
 
 def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
-    script = make_script(SHOWN, REACH_M, 4.0, seed=0)
+    script = make_script(SHOWN, TOUCHED_M, 4.0, seed=0)
     other = shown(script[0].contact.segment - 1)
     _, (wrong,) = results_of(script, lambda _: other)
     _, (silent,) = results_of(script, exact, unknown=ForceState.SILENT)
@@ -250,7 +250,7 @@ def test_a_moment_is_compared_as_one_and_has_no_place():
         moment_n_m = 0.1 + contact.contact_m * contact.magnitude_n
         return Contact(contact.segment, contact.angle_deg, moment_n_m=moment_n_m)
 
-    _, (result,) = results_of(make_script(SHOWN, REACH_M, 4.0, seed=0), moment)
+    _, (result,) = results_of(make_script(SHOWN, TOUCHED_M, 4.0, seed=0), moment)
     assert result.segment_right
     assert result.errors.keys() == {"direction_deg", "moment_n_m"}
     assert result.errors["moment_n_m"] == pytest.approx(0.1)
@@ -286,7 +286,7 @@ def with_intervals(played, force_n, place_m):
     [(1.0, 0.005, "1 of 1 places, 1 of 1 forces"), (-0.5, -0.005, "0 of 1 places, 0 of 1 forces")],
 )
 def test_the_report_counts_truths_in_their_stated_intervals(force_n, place_m, line):
-    script = make_script(SHOWN, REACH_M, 4.0, seed=0)
+    script = make_script(SHOWN, TOUCHED_M, 4.0, seed=0)
     played, _ = results_of(script, exact)
     results = push_results(script, with_intervals(played, force_n, place_m))
     assert coverage_line(results).endswith(line)

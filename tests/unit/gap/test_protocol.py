@@ -64,11 +64,11 @@ def test_blocks_follow_on_without_a_jump_of_the_command():
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_every_segment_is_loaded_at_three_places_within_reach(arm):
     blocks = [b for b in standard_protocol(arm) if b.kind is BlockKind.LOAD_CYCLE]
-    reach_m = touched_places(arm).touched_m
+    touched_m = touched_places(arm).touched_m
     for n in range(1, arm.segment_count + 1):
         places = sorted({b.at_m for b in blocks if b.segment == n})
         assert len(places) == 3
-        assert reach_m[n - 1, 0] < places[0] < places[1] < places[2] < reach_m[n - 1, 1]
+        assert touched_m[n - 1, 0] < places[0] < places[1] < places[2] < touched_m[n - 1, 1]
         assert places[1] == mechanism_of(arm).contact_m[n - 1]
     rows = rows_of(blocks, 2.0)
     np.testing.assert_array_equal(np.isfinite(rows.load_at_m), rows.load_segment > 0)

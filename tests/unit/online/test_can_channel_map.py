@@ -190,6 +190,32 @@ BO_ 1 A: 8 X
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize(
+    ("unit", "remedy"),
+    [
+        ("kgf", "state its scale_n_per_unit: 9.80665, the newtons of one such unit"),
+        ("lbf", "state its scale_n_per_unit: 4.448222, the"),
+        ("mN", "state its scale_n_per_unit: 0.001, the"),
+        ("kN", "state its scale_n_per_unit: 1000, the"),
+        ("mV/V", "state its scale_n_per_unit, the newtons of one such unit"),
+    ],
+)
+def test_a_signal_in_another_unit_than_newtons_needs_a_scale(unit, remedy):
+    given = PACKED.model_dump()
+    database = parse_database(TEXT.replace('3276.7] "N"', f'3276.7] "{unit}"'))
+    check_fit(PACKED, database)  # the bundled map states all its scales
+    del given["channels"]["cable_5"]["scale_n_per_unit"]
+    with pytest.raises(ChannelMapError) as refused:
+        check_fit(ChannelMap.model_validate(given), database)
+    line = str(refused.value)
+    assert f"channel cable_5: TENSION_5 is in '{unit}', not in N" in line
+    assert remedy in line
+    assert "\n" not in line
+    for newtons in ("N", ""):
+        in_newtons = TEXT.replace('3276.7] "N"', f'3276.7] "{newtons}"')
+        check_fit(ChannelMap.model_validate(given), parse_database(in_newtons))
+
+
 def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
     channel = channel_map.channels[cable]
     unit, factor, offset = signal_conversion(database, channel)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation_settings import estimation_settings
 
+from benchmarks.estimation_settings import estimation_settings
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.answer import Answer

@@ -106,6 +106,11 @@ DEFECTS = {
         "in s, not in milliseconds",
         None,
     ),
+    "microseconds": (
+        lambda r: replace(r, time_s=1e6 * r.time_s),
+        "in s, not in microseconds",
+        None,
+    ),
     "none": (lambda r: r, None, None),
 }
 

@@ -15,7 +15,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.qos import LATCHED, PUBLISHER
+from cablesense_msgs_py.qos import LATCHED_QOS, PUBLISHER_QOS
 from cablesense_recording.mcap_messages import CHUNK_S, McapMessages, TopicFile
 from cablesense_recording.recording import RecordingError
 from tests.helpers.checkout import CHECKOUT
@@ -28,8 +28,8 @@ TEXT = "std_msgs/msg/String"
 def written(path, count=2000, step_ns=S // 1000):
     """A file of two topics over some seconds."""
     file = TopicFile(path)
-    states = file.add("/cable_tensions", STATE, PUBLISHER)
-    texts = file.add("/robot_description", TEXT, LATCHED)
+    states = file.add("/cable_tensions", STATE, PUBLISHER_QOS)
+    texts = file.add("/robot_description", TEXT, LATCHED_QOS)
     for i in range(count):
         file.write(
             states if i % 10 else texts, 5 * S + i * step_ns, b"\0\1\0\0" + bytes([i % 256]) * 90
@@ -224,9 +224,9 @@ def test_a_file_that_cannot_be_begun_leaves_the_former_one(tmp_path, monkeypatch
 ENDLESS = """
 import sys, time
 from cablesense_recording.mcap_messages import TopicFile
-from cablesense_msgs_py.qos import PUBLISHER
+from cablesense_msgs_py.qos import PUBLISHER_QOS
 file = TopicFile(sys.argv[1])
-channel = file.add("/cable_tensions", "sensor_msgs/msg/JointState", PUBLISHER)
+channel = file.add("/cable_tensions", "sensor_msgs/msg/JointState", PUBLISHER_QOS)
 number = 0
 while True:
     file.write(channel, time.time_ns(), number.to_bytes(8, "little") * 40)

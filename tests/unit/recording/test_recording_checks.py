@@ -190,10 +190,21 @@ def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_pat
     assert refused(check_form(with_((9, 4), "tensions_n", np.nan), LAB))
 
 
-@pytest.mark.parametrize(("factor", "kind"), [(1000.0, "milliseconds"), (30.0, "rate")])
+@pytest.mark.parametrize(
+    ("factor", "kind"),
+    [
+        (1e3, "milliseconds"),
+        (1e6, "microseconds"),
+        (1e9, "nanoseconds"),
+        (800.0, "milliseconds"),
+        (30.0, "rate"),
+        (2e3, "rate"),
+    ],
+)
 def test_times_in_another_unit_or_of_another_rate_are_named(factor, kind):
     made = small_recording()
     (findings,) = check_form(replace(made, time_s=factor * made.time_s), LAB)
     assert findings.kind == kind
-    assert findings.refuses == (kind == "milliseconds")
+    assert findings.refuses == (kind != "rate")
+    assert kind == "rate" or f"in s, not in {kind}" in findings.text
     assert not check_form(made, LAB)

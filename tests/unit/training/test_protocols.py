@@ -21,14 +21,14 @@ from cablesense_training.data.protocols import (
 from cablesense_training.errors import DatasetError
 
 SEGMENTS = 4
-REACH_M = np.array([0.02, 0.13])
+TOUCHED_M = np.array([0.02, 0.13])
 
 
 def cases_of(protocol, segments=SEGMENTS, seed=0):
     chunks = range(len(chunk_sizes(protocol.samples)))
     dimensions = protocol.dimensions(segments)
     points = np.concatenate([unit_points(dimensions, seed, chunk) for chunk in chunks])
-    return protocol.cases(np.tile(REACH_M, (segments, 1)), points[: protocol.samples])
+    return protocol.cases(np.tile(TOUCHED_M, (segments, 1)), points[: protocol.samples])
 
 
 def chi_square_bound(counts):
@@ -93,8 +93,8 @@ def test_labels_agree_with_each_other_and_with_the_options(
     contacts = cases.contacts
     for labels in (cases.angles_deg, cases.magnitudes_n, cases.places_m, cases.along_n):
         assert not labels[~contacts].any()
-    assert (cases.places_m[contacts] >= REACH_M[0]).all()
-    assert (cases.places_m[contacts] <= REACH_M[1]).all()
+    assert (cases.places_m[contacts] >= TOUCHED_M[0]).all()
+    assert (cases.places_m[contacts] <= TOUCHED_M[1]).all()
     assert (cases.magnitudes_n[contacts] >= low).all()
     assert (cases.magnitudes_n[contacts] <= low + span).all()
     assert (cases.angles_deg >= 0.0).all()
