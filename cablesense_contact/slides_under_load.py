@@ -31,9 +31,9 @@ _TURNED_BACK_SHARE = 0.02
 largest change of a reading."""
 _FIRM_SHARE = 0.1
 """Where a reading has changed by more than this share of the largest change, it has not."""
-_GUIDE_STD = 0.7
-"""Deviation of slides at the guides in the arm under a load: they follow from how the joints give
-way, which readings show as well as they show what friction holds."""
+_PASSED_SHARE = 0.12
+"""How far off what has passed a guide may be, as a share of the most that has passed any: while
+much passes others, a cable may slide there and back."""
 _SMOOTHED = 16
 """Readings of which the mean is followed while they do not change, that is by no more than"""
 _STEADY_SHARE = 0.6
@@ -96,9 +96,9 @@ class SlidesAtPose:
         longer_m = self._run_m_n * change_n + self._behind_m_n * behind_n
         weight = (np.minimum(before_n, now_n) > moved_n) / (self._behind_m_n * std_n)
         # the joints have given way by as much as the cables got longer
-        gave_way = np.linalg.lstsq(
-            weight[:, None] * self._by_coordinate, weight * longer_m, rcond=None
-        )[0]
+        weighted = weight[:, None] * self._by_coordinate
+        gave_way = np.linalg.lstsq(weighted, weight * longer_m, rcond=None)[0]
+        gave_way_covariance = np.linalg.pinv(weighted.T @ weighted)
         taken_m = self._slope_m[:, 1:] @ gave_way
         # a cable that stands at its first guide: what its pieces take up, it stretches behind
         stands_n = (taken_m.sum(axis=1) - self._run_m_n * change_n) / self._behind_m_n
@@ -108,13 +108,30 @@ class SlidesAtPose:
         between_m = self._pieces_m_n * behind_n[:, None] - taken_m
         passed_m = (self._run_m_n * change_n)[:, None] + between_m[:, :-1].cumsum(axis=1)
         earlier = Slides(before.mean[1:], before.std[1:], before.common[1:])
-        guides = turned(earlier, passed_m.T, self._guides_turn_m, _GUIDE_STD)
+        stands_std_n = np.where(moved, std_n, _STANDING_STD * held_n)
+        passed_std_m = self._passed_std_m(passed_m, stands_std_n, gave_way_covariance)
+        guides = turned(earlier, passed_m.T, self._guides_turn_m, passed_std_m.T)
         pulley_std = np.where(moved, self._slid_std(change_n, held_n), _STANDING_STD)
         return Slides(
             np.vstack([np.where(moved, slid, stands), guides.mean]),
             np.vstack([pulley_std, guides.std]),
             common,
         )
+
+    def _passed_std_m(
+        self, passed_m: Array, behind_std_n: Array, gave_way_covariance: Array
+    ) -> Array:
+        """(M, G - 1) deviations of what has passed the guides behind the first.
+
+        By those of the tensions behind the first (M,), by the covariance (n, n) of how the joints
+        gave way, and by what passed on the way and came back.
+        """
+        by_behind_m_n = self._pieces_m_n[:, :-1].cumsum(axis=1)
+        by_way = self._slope_m[:, 1:-1].cumsum(axis=1)
+        of_way_m2 = ((by_way @ gave_way_covariance) * by_way).sum(axis=2)
+        of_behind_m = by_behind_m_n * behind_std_n[:, None]
+        of_path_m = _PASSED_SHARE * np.abs(passed_m).max()
+        return np.sqrt(of_way_m2 + of_behind_m**2 + of_path_m**2)
 
     def _slid_std(self, change_n: Array, held_n: Array) -> Array:
         """(M,) deviations of the slides of cables that have slid while readings changed.

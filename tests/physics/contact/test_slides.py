@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablesense_contact.arm_routes import arm_slides
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.slides import Belief, Slides
+from cablesense_plants.arm import statics
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -22,6 +23,7 @@ SLIDES = arm_slides(ARM)
 COUNT = len(PARAMETERS)
 FRICTION = PARAMETERS.slices["friction"].start
 CARRIED = PARAMETERS.carried_friction
+BODY = NOMINAL.body
 
 
 def known(rng: np.random.Generator) -> Belief:
@@ -157,6 +159,55 @@ def test_a_cable_that_moved_little_while_others_moved_much_may_have_turned_back(
         note(under_load.after(released_n).slides, released_n - pushed_n)
     assert len(off_by_std) > 40
     assert np.sqrt(np.mean(np.square(off_by_std))) < 1.2
+
+
+@pytest.mark.slow
+def test_slides_behind_the_pulleys_are_within_what_is_stated_of_them():
+    """Against the plant, at the plates before each joint, when the arm is pushed."""
+    friction = 0.1
+    rng = np.random.default_rng(6)
+    built = BuiltArm(NOMINAL, Workmanship().scaled(0.0), rng, friction=friction)
+    command = np.zeros(8)
+    walk = built.walk(command)
+    off_by_std: list[float] = []
+    for _ in range(16):
+        before = command
+        command = rng.uniform(-0.17, 0.17, 8)
+        untouched_n = walk.go(command).copy()
+        arrived = SLIDES.after_motion(before, command)
+        under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
+        segment = int(rng.integers(2, 5))
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across_n = 25.0 * np.array([0.0, np.sin(angle), np.cos(angle)])
+        pushed = Push(segment, 0.06, built.axes(command)[segment - 1] @ across_n)
+        pushed_n = walk.go(command, [pushed]).copy()
+        slides = under_load.after(pushed_n).slides
+        slid = np.abs(pushed_n - untouched_n) > 0.4
+        slide, exists = at_plates(walk, friction)
+        off = (slide - slides.mean[1:]) / slides.std[1:]
+        off_by_std.extend(off[exists & slid])
+        walk.go(command)
+    assert len(off_by_std) > 200
+    assert np.sqrt(np.mean(np.square(off_by_std))) < 1.0
+    assert np.mean(np.abs(off_by_std) > 2.0) < 0.05
+
+
+def at_plates(walk, friction: float) -> tuple[np.ndarray, np.ndarray]:
+    """(G - 1, M) slides over the plates before each joint, and where a taut cable bends there.
+
+    Cables pass the base plate, then two plates of each segment, between which they are straight.
+    """
+    angles_rad = walk.state.angles_rad[None]
+    turning = statics.turns(BODY, angles_rad)
+    bend_rad = statics.spans(BODY, angles_rad, turning, with_bends=True).bend_rad[0]
+    bend_rad = bend_rad.reshape(-1, BODY.cable_count)
+    tension_n = walk.state.tension_n.T
+    before_joint_n = tension_n[[1, 2, 4, 6]]
+    behind_n = tension_n[[2, 4, 6, 8]]
+    wrap_rad = np.concatenate([bend_rad[:1], bend_rad[1:7].reshape(3, 2, -1).sum(axis=1)])
+    exists = (wrap_rad > 1e-3) & (tension_n.min(axis=0) > 2.0)
+    ratio = np.where(exists, behind_n, 1.0) / np.where(exists, before_joint_n, 1.0)
+    return np.log(ratio) / (friction * np.where(exists, wrap_rad, 1.0)), exists
 
 
 def at_pulleys(walk, friction: float) -> np.ndarray:
