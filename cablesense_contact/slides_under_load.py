@@ -23,9 +23,6 @@ from cablesense_contact.slides import SLIDING_STD, Slides, turned
 _RETURNED_STD = 0.6
 """Of all slides together once a load was taken off, in the direction of the load: friction holds
 a part of it."""
-_STANDING_STD = 0.7
-"""Deviation of the slide where cable stands at its pulley, as computed from how the joints gave
-way."""
 _TURNED_BACK_SHARE = 0.02
 """How far the tension behind a pulley may have gone back since cable slid there, as a share of the
 largest change of a reading."""
@@ -45,6 +42,10 @@ _LEAST_FRICTION = 1e-4
 _GUIDE_SHARE = 0.5
 """Way over which a cable turns at a guide by that over which it would if nothing else held it:
 what passes is known about so well only, as what the first guides carry is not known better."""
+_LEAST_INFORMATION_SHARE = 1e-9
+_LEAST_INFORMATION_M2 = 1e-12
+"""Added to the information of how joints give way, as a share of all of it and at the least, so
+that it has an inverse."""
 _LEAST_HELD_N = 1e-9
 """Tension that friction at the first guide holds, at the least: something is divided by it."""
 
@@ -98,7 +99,10 @@ class SlidesAtPose:
         # the joints have given way by as much as the cables got longer
         weighted = weight[:, None] * self._by_coordinate
         gave_way = np.linalg.lstsq(weighted, weight * longer_m, rcond=None)[0]
-        gave_way_covariance = np.linalg.pinv(weighted.T @ weighted)
+        information = weighted.T @ weighted
+        # where no taut cable tells how a joint gave way, it may be anything
+        least = _LEAST_INFORMATION_SHARE * np.trace(information) + _LEAST_INFORMATION_M2
+        gave_way_covariance = np.linalg.inv(information + least * np.eye(len(information)))
         taken_m = self._slope_m[:, 1:] @ gave_way
         # a cable that stands at its first guide: what its pieces take up, it stretches behind
         stands_n = (taken_m.sum(axis=1) - self._run_m_n * change_n) / self._behind_m_n
@@ -108,10 +112,15 @@ class SlidesAtPose:
         between_m = self._pieces_m_n * behind_n[:, None] - taken_m
         passed_m = (self._run_m_n * change_n)[:, None] + between_m[:, :-1].cumsum(axis=1)
         earlier = Slides(before.mean[1:], before.std[1:], before.common[1:])
-        stands_std_n = np.where(moved, std_n, _STANDING_STD * held_n)
-        passed_std_m = self._passed_std_m(passed_m, stands_std_n, gave_way_covariance)
+        all_taken_m = self._slope_m[:, 1:].sum(axis=1)
+        taken_std_m = np.sqrt(((all_taken_m @ gave_way_covariance) * all_taken_m).sum(axis=1))
+        stands_std_n = np.minimum(taken_std_m / self._behind_m_n, held_n)
+        behind_std_n = np.where(moved, std_n, stands_std_n)
+        passed_std_m = self._passed_std_m(passed_m, behind_std_n, gave_way_covariance)
         guides = turned(earlier, passed_m.T, self._guides_turn_m, passed_std_m.T)
-        pulley_std = np.where(moved, self._slid_std(change_n, held_n), _STANDING_STD)
+        slid_std = self._slid_std(change_n, held_n)
+        stands_std = np.hypot(SLIDING_STD, stands_std_n / held_n)
+        pulley_std = np.where(moved, slid_std, stands_std)
         return Slides(
             np.vstack([np.where(moved, slid, stands), guides.mean]),
             np.vstack([pulley_std, guides.std]),
@@ -142,7 +151,7 @@ class SlidesAtPose:
         largest_n = np.abs(change_n).max()
         small = np.abs(change_n) < _FIRM_SHARE * largest_n
         turned_back = small * _TURNED_BACK_SHARE * largest_n / held_n
-        return np.minimum(np.hypot(SLIDING_STD, turned_back), _STANDING_STD)
+        return np.minimum(np.hypot(SLIDING_STD, turned_back), 1.0)
 
 
 @dataclass(frozen=True)
