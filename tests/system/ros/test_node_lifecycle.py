@@ -1,5 +1,6 @@
 """What all nodes share: parameters, refusals, lifecycle, simulated time, the end by signals."""
 
+import json
 import math
 import re
 import signal
@@ -35,6 +36,7 @@ from cablesense_msgs_py.qos import resolved
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.inputs import REPLAYED_FROM
 from cablesense_online.settings import LIVE_SETTINGS
+from cablesense_ros import node_process
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.estimator_node import EstimatorNode
@@ -94,6 +96,15 @@ def test_a_parameter_shows_its_description_and_range(make_node):
     assert descriptor.description == "A rate, Hz."
     assert descriptor.floating_point_range[0].to_value == 100.0
     assert descriptor.read_only
+
+
+@pytest.mark.parametrize("default", [[1.0, 2.0], ["joint_1"], {}, None])
+def test_a_table_with_a_parameter_of_another_type_is_refused(monkeypatch, tmp_path, default):
+    text = f"shared: {{}}\nsim:\n  joints: {{default: {json.dumps(default)}, description: Some.}}"
+    (tmp_path / "parameters.yaml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(node_process, "files", lambda _: tmp_path)
+    with pytest.raises(ParameterError, match=r"parameter joints: its default .* must be true or"):
+        parameter_table("sim")
 
 
 @pytest.mark.parametrize("value", [0.5, 1e9, math.nan, math.inf, 50, "fast", True])
