@@ -59,6 +59,7 @@ NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "commissi
 
 @pytest.fixture
 def make_node():
+    """Makes a node. It begins ROS with the node's arguments, so call it once in a test."""
     nodes = []
 
     def make(kind=Node, *arguments, given=None, **overrides):
