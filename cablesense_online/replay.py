@@ -235,7 +235,7 @@ class RebuiltEstimator:
     """The estimator of a recording, with the recorded model or another arm or model.
 
     Attributes:
-        placed: its links in the frames of messages, from the first calibration on.
+        placed: its links in their message frames, from the first calibration on.
     """
 
     def __init__(self, run: RecordedRun, arm: str = "", model: str = "") -> None:
