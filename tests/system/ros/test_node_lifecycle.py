@@ -21,7 +21,7 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
@@ -32,7 +32,7 @@ from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import write_calibration
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import resolved
+from cablesense_msgs_py.qos import RECORDED_TOPICS, recorded_topic, resolved
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.inputs import REPLAYED_FROM
 from cablesense_online.settings import LIVE_SETTINGS
@@ -48,12 +48,15 @@ from cablesense_ros.node_process import (
     parameter_table,
 )
 from cablesense_ros.processes import node_command
+from cablesense_ros.sim_node import SimNode
 from cablesense_sim.arm import open_arm
 from tests.helpers.waiting import until
 
 ARM = open_arm("cdsm")
 RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", (1.0, 100.0))
 MODE = NodeParameter("mode", "slow", "A mode.", choices=("slow", "fast"))
+FOREVER_S = 1e9
+"""From this lease on, DDS means none."""
 NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "commissioner", "page"]
 
 
@@ -85,6 +88,32 @@ def test_a_replay_knows_every_topic_that_a_live_estimator_takes(make_node):
     taken = {topic for topic, _ in look(node.get_name(), node.get_namespace())}
     of_arms = REPLAYED_FROM.keys() - {topics.JOINT_STATES}  # of machines with measured joints
     assert taken - {"/parameter_events", "/clock"} == {resolved(topic) for topic in of_arms}
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (EstimatorNode, {"autostart": True}),
+        (SimNode, {}),
+        (CanDriverNode, {"interface": "virtual", "channel": "offered"}),
+    ],
+)
+def test_a_node_offers_the_quality_that_the_table_of_topics_has(make_node, kind, given):
+    node = make_node(kind, given=given)
+    getattr(node, "autostart", lambda: None)()
+    names = node.get_publisher_names_and_types_by_node(node.get_name(), node.get_namespace())
+    published = {name: recorded_topic(name) for name, _ in names}
+    known = {name: topic for name, topic in published.items() if topic}
+    assert known
+    for name, topic in known.items():
+        (publisher,) = node.get_publishers_info_by_topic(name)
+        offers = publisher.qos_profile
+        listed = RECORDED_TOPICS[topic].offered
+        assert (offers.reliability == ReliabilityPolicy.RELIABLE) is listed.reliable
+        assert (offers.durability == DurabilityPolicy.TRANSIENT_LOCAL) is listed.transient_local
+        lease_s = offers.liveliness_lease_duration.nanoseconds * 1e-9
+        asked_s = lease_s if lease_s < FOREVER_S else 0.0
+        assert asked_s == pytest.approx(listed.lease_s)
 
 
 def test_a_parameter_shows_its_description_and_range(make_node):
