@@ -67,7 +67,8 @@ def test_the_recorder_may_listen_to_what_a_recording_has():
     listens = names(PROFILES["record"], "topics", "subscribe") - {"clock", "parameter_events"}
     recorded = {topic.removeprefix("/") for topic in RECORDED_TOPICS}
     assert listens <= recorded
-    assert recorded - listens <= {"tf", "tf_static"}  # of robot_state_publisher, which has no enclave here
+    # tf is of robot_state_publisher, which has no enclave here
+    assert recorded - listens <= {"tf", "tf_static"}
 
 
 @pytest.mark.parametrize(
