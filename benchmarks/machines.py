@@ -70,7 +70,7 @@ class Contact(NamedTuple):
     Attributes:
         link: its number.
         place_m: along the link's axis.
-        point_m: (3,) on the surface, in the link's frame.
+        point_m: (3,) on the surface, in the link's axis frame.
         force_n: (3,) along the link's stated axes.
     """
 

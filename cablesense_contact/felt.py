@@ -37,8 +37,8 @@ class LinksAtPose(NamedTuple):
     """The N links at a pose, with T torques at the joints.
 
     Attributes:
-        axes: (N, 3, 3) of the links' frames in base axes, in columns; x is along the link.
-        origin_m: (N, 3) of the frames.
+        axes: (N, 3, 3) of the links' axis frames in base axes, in columns; x is along the link.
+        origin_m: (N, 3) of the axis frames, in the base frame.
         by_force_m: (N, 3, T) torques of unit forces at the origins, along the links' axes.
         by_place: (N, 3, T) their slope by the place along the link.
     """
@@ -50,11 +50,13 @@ class LinksAtPose(NamedTuple):
 
 
 class LinkFrameOffsets(NamedTuple):
-    """Where the links' frames are in the frames that messages name, both fixed to the link.
+    """Where the links' axis frames are in their message frames, both fixed to the link.
+
+    `cablesense_online.placed_links` says what these frames are.
 
     Attributes:
-        axes: (N, 3, 3) in columns.
-        origin_m: (N, 3).
+        axes: (N, 3, 3) of the axis frames, in columns.
+        origin_m: (N, 3) of the axis frames.
     """
 
     axes: Array
@@ -172,12 +174,12 @@ class FeltMachine(Protocol):
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """(N,) frames in which contacts are stated."""
+        """(N,) message frames: those that messages of contacts name."""
         ...
 
     @property
     def link_frames(self) -> LinkFrameOffsets | None:
-        """The links' own frames in these; None where they are the same."""
+        """The links' axis frames in their message frames; None where they are the same."""
         ...
 
     @property
@@ -245,7 +247,7 @@ class FeltMachine(Protocol):
 
     @property
     def joint_m(self) -> Array:
-        """(N,) where the links' frames are along the whole machine."""
+        """(N,) where the links' axis frames are along the whole machine."""
         ...
 
     def mean_variance(self, count: int) -> Array:

@@ -181,7 +181,9 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
 def load_places_m(arm: Arm) -> Array:
     """(N, 3) where loads act on each segment: near its joint, at its contact point, and far out.
 
-    All are within the range of `touched_places`, in whole mm, so that a person can measure them.
+    All are within the range of `touched_places`, in whole mm, so that a person can measure them. A
+    recording may have loads beyond it, anywhere on a segment (`loadable_m` of its layout): a known
+    load is compared wherever it acts, while the range says where unknown contacts are sought.
     """
     touched_m = touched_places(arm).touched_m
     inside = _FROM_THE_ENDS * (touched_m[:, 1] - touched_m[:, 0])

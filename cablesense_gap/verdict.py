@@ -95,7 +95,9 @@ class FittedNumber(FilePart):
 class Share(FilePart):
     """The contribution of one named effect.
 
-    Sizes are in the verdict's `unit`: N of an arm, floors of a robot.
+    Sizes are in the verdict's `unit`: N of an arm, floors of a robot. A share is no fraction of
+    the gap but an RMS, and shares do not add up to it: causes overlap, and RMS values add by their
+    squares where they do not.
 
     Attributes:
         share_n: RMS by which predictions change without it, all else as fitted.

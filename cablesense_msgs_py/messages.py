@@ -249,7 +249,7 @@ ContactOf = Callable[[Array, Array], tuple[int, float]]
 """The segment and the place on its axis where a force (3,) with a torque (3,) acts, base frame."""
 PlaceOf = Callable[[int, Array, Array], float]
 """The place on the axis of a link, from 1, where a force (3,) acts: by its torque (3,) about the
-origin of the link's frame; both in base axes."""
+origin of the link's message frame; both in base axes."""
 
 
 def read_load(

@@ -36,7 +36,7 @@ COMMAND_QOS: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
 LATCHED_QOS: Final = Qos(depth=1, reliable=True, transient_local=True)
 """For late subscribers, too: the robot description."""
-_RECORDED: Final = Qos(depth=2000, reliable=True)
+_RECORDER_QOS: Final = Qos(depth=2000, reliable=True)
 _ON_SEGMENT: Final = re.compile(r"/estimator/wrenches/segment_([1-9][0-9]{0,3})$")
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
@@ -51,7 +51,7 @@ class TopicType:
 
     kind: str
     offered: Qos
-    requested: Qos = _RECORDED
+    requested: Qos = _RECORDER_QOS
 
 
 INPUTS: Final = {
@@ -63,7 +63,7 @@ INPUTS: Final = {
 }
 """The topics that a diagnosis of the arm reads; it needs all but the offsets and the trials."""
 
-CONTRACT: Final = {
+RECORDED_TOPICS: Final = {
     **INPUTS,
     topics.JOINT_TRAJECTORY: TopicType(
         "trajectory_msgs/msg/JointTrajectory", COMMAND_QOS, COMMAND_QOS
@@ -71,7 +71,7 @@ CONTRACT: Final = {
     topics.JOINT_STATES: TopicType(JOINT_STATE_TYPE, PUBLISHER_QOS),
     topics.ROBOT_DESCRIPTION: TopicType("std_msgs/msg/String", LATCHED_QOS, LATCHED_QOS),
     topics.DIAGNOSTICS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER_QOS),
-    topics.WRENCH: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
+    topics.WRENCH: TopicType(WRENCH_TYPE, WRENCH_QOS),
     topics.STATUS: TopicType(_DIAGNOSTICS_TYPE, PUBLISHER_QOS),
     topics.WRENCH_LOWER: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
     topics.WRENCH_UPPER: TopicType(WRENCH_TYPE, PUBLISHER_QOS),
@@ -91,8 +91,11 @@ CONTRACT: Final = {
     "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED_QOS, Qos(100, True, True)),
 }
 """What a run's recording has: inputs, the estimator's outputs, what shows the arm; `/tf` where its
-type is. Left out are `ESTIMATE`, which repeats other topics, and `SIMULATED_TENSIONS`, which come
-back as `CABLE_TENSIONS`."""
+type is. `record` subscribes to each. Left out are `ESTIMATE`, which repeats other topics, and
+`SIMULATED_TENSIONS`, which come back as `CABLE_TENSIONS`."""
+
+CONTRACT: Final = RECORDED_TOPICS
+"""The same, by the name with which `cablesense_recording.mcap_file` imports it."""
 
 
 def resolved(topic: str, namespace: str = "/") -> str:
@@ -109,8 +112,8 @@ def segment_of(name: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def of_contract(name: str) -> str | None:
-    """The topic of the contract that has a full name, in any namespace; None for other names.
+def recorded_topic(name: str) -> str | None:
+    """The recorded topic that has a full name, in any namespace; None for other names.
 
     `/arm/estimator/wrench` is `~/wrench`, and that of any segment `SEGMENT_WRENCHES`.
     """
@@ -118,6 +121,6 @@ def of_contract(name: str) -> str | None:
         return topics.SEGMENT_WRENCHES
     *_, node, last = ["", "", *name.split("/")]
     for topic in (name, f"~/{last}" if node == "estimator" else "", last):
-        if topic in CONTRACT:
+        if topic in RECORDED_TOPICS:
             return topic
     return "/diagnostics" if last == "diagnostics" else None

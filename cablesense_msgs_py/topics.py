@@ -61,8 +61,8 @@ STATUS: Final = "~/status"
 """`diagnostic_msgs/DiagnosticArray`: the state of every wrench, with the wrench's stamp: one
 status, whose message is a `messages.ForceState`."""
 ESTIMATE: Final = "~/estimate"
-"""`cablesense_msgs/ForceEstimate`: where that package is installed, state, wrench, intervals and
-place together. Recordings leave it out."""
+"""`cablesense_msgs/ForceEstimate`: where that package is installed, state, wrench, intervals,
+place, and the covariance of place and force together. Recordings leave it out."""
 WRENCH_LOWER: Final = "~/wrench_lower"
 """`geometry_msgs/WrenchStamped`: with every estimate, the lower end of the 95 % intervals of force
 and direction. Directions range from this one to the upper's with a growing angle; where it is zero

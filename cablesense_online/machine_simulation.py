@@ -98,7 +98,7 @@ class MachineSimulation:
         raise MachineError(f"{self.machine.name}: offsets of cables are for arms of arm files")
 
     def read_load(self, message: Any, frames: Frames) -> Load:
-        """The load of a message in a link's frame, at the present pose.
+        """The load of a message in a link's message frame, at the present pose.
 
         Raises:
             CableSenseError: see `messages.read_load` and `PlacedLinks.load_place_m`.

@@ -198,24 +198,30 @@ class MotionGate:
 
         The sample is of `stamp_ns` and comes at `now_ns`, both of the clock that sets stamps. It
         comes at `now_s` of the monotonic clock, by which a wait is timed whatever the stamps do.
-        The set-points have a time of their own, from where they began to move.
+        The set-points have a time of their own, from where they began to move. After a command
+
+            rest_from_ns = stamp_ns + what the set-points still need + settle_s
+            swing_rad_s2 = max(|acceleration|, earlier swing x exp(-3 time since / settle_s)).
         """
         if self._rests(motion, stamp_ns):
             return replace(motion, last_ns=stamp_ns, stepped=0)
         is_first = motion.last_ns == LONG_AGO_NS
-        stamped = _with_stamp(motion, stamp_ns)
-        moved = stamped
-        if stamped.course.moving:
-            on_course_s = max(0, stamp_ns - stamped.course_from_ns) * 1e-9
-            moved = self._swinging_on(replace(stamped, course=stamped.course.at(on_course_s)))
-        headed = self._headed(moved) if moved.heading else moved
-        waiting = headed
-        if headed.heading or is_first:
+        at_stamp = _with_stamp(motion, stamp_ns)
+        with_set_points = at_stamp
+        if at_stamp.course.moving:
+            on_course_s = max(0, stamp_ns - at_stamp.course_from_ns) * 1e-9
+            moved_on = replace(at_stamp, course=at_stamp.course.at(on_course_s))
+            with_set_points = self._swinging_on(moved_on)
+        to_command = with_set_points
+        if with_set_points.heading:
+            to_command = self._headed(with_set_points)
+        with_wait = to_command
+        if to_command.heading or is_first:
             sample_age_s = max(0, now_ns - stamp_ns) * 1e-9
             sampled_s = now_s - sample_age_s
-            waiting = self._waiting_for_course(headed, sampled_s, first=is_first)
-        timed = _held_shut(waiting, now_s)
-        return timed if timed.shut else self._at_pose(timed)
+            with_wait = self._waiting_for_course(to_command, sampled_s, first=is_first)
+        with_clock = _held_shut(with_wait, now_s)
+        return with_clock if with_clock.shut else self._at_pose(with_clock)
 
     def turning(self, motion: CommandedMotion) -> bool:
         """Whether the joints have turned within the time in which the arm settles."""

@@ -24,7 +24,7 @@ from cablesense_base.files import written_whole
 from cablesense_contact.calibration_file import calibration_of
 from cablesense_contact.inference.metadata import find_model
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import CONTRACT, of_contract
+from cablesense_msgs_py.qos import RECORDED_TOPICS, recorded_topic
 from cablesense_msgs_py.serialized import WrenchWriter, require_bounded, stamp_ns, wrench_writers
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
@@ -83,7 +83,7 @@ class RecordedRun:
         self._calibrations: list[CalibrationMessage] = []
         self.answers: dict[int, bytes] = {}
         for raw in messages:
-            topic = of_contract(raw.topic)
+            topic = recorded_topic(raw.topic)
             if topic is None or topic == topics.SEGMENT_WRENCHES:
                 continue
             self._check(topic, raw, names)
@@ -113,7 +113,7 @@ class RecordedRun:
         remaining = deque(self._calibrations)
         calibrated = False
         for raw in McapMessages(self.path):
-            topic = of_contract(raw.topic)
+            topic = recorded_topic(raw.topic)
             if topic == topics.CALIBRATION_USED and not calibrated:
                 calibrated = True
                 yield remaining.popleft()
@@ -140,10 +140,10 @@ class RecordedRun:
             raise RecordingError(
                 f"{self.path}: {first} and {raw.topic} are both {topic}; record one arm alone"
             )
-        if raw.kind != CONTRACT[topic].kind:
+        if raw.kind != RECORDED_TOPICS[topic].kind:
             raise RecordingError(
                 f"{self.path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
-                f"{CONTRACT[topic].kind}"
+                f"{RECORDED_TOPICS[topic].kind}"
             )
 
 
@@ -235,7 +235,7 @@ class RebuiltEstimator:
     """The estimator of a recording, with the recorded model or another arm or model.
 
     Attributes:
-        placed: its links in the frames of messages, from the first calibration on.
+        placed: its links in their message frames, from the first calibration on.
     """
 
     def __init__(self, run: RecordedRun, arm: str = "", model: str = "") -> None:
@@ -258,7 +258,7 @@ class RebuiltEstimator:
         if isinstance(raw, CalibrationMessage):
             self._calibrate(raw)
             return None
-        topic = of_contract(raw.topic) or ""
+        topic = recorded_topic(raw.topic) or ""
         if self._estimation is None or self._loaded is None:
             return None
         if topic == topics.CABLE_TENSIONS:
@@ -389,7 +389,7 @@ def _compared(
     """The answers to samples that the recording has answers to."""
     for message in run.messages():
         replayed = rebuilt.take(message)
-        if of_contract(message.topic) != topics.CABLE_TENSIONS:
+        if recorded_topic(message.topic) != topics.CABLE_TENSIONS:
             continue
         comparison.samples += 1
         assert isinstance(message, RawMessage)

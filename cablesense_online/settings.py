@@ -29,7 +29,9 @@ class EstimationSettings(BaseModel):
         auto_tare: whether the first tare is taken by itself.
         await_breath: whether that waits for a breath.
         joint_speed_rad_s: at which the joints move to a command.
-        settle_s: how long the arm swings after its joints have arrived at a command, s.
+        settle_s: how long the arm swings, s, from the arrival of the set-points at a command on,
+            not from the command; no force is known before. Commands that are followed
+            (`follow_rad_s`) and those within `still_rad` do not wait for it.
         still_rad: a command within this of the pose moves nothing: its noise, not a move.
         follow_rad_s: a motion up to this speed is followed.
         unknown_force: what is published where no force is known.

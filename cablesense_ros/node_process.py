@@ -161,7 +161,13 @@ class ParameterError(CableSenseError):
     """A parameter given at start that does not fit."""
 
 
-_KINDS = {bool: "true or false", int: "a whole number", float: "a number with a decimal point"}
+_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number with a decimal point",
+    str: "text",
+}
+"""What a parameter may be, in words."""
 
 
 @dataclass(frozen=True)
@@ -170,10 +176,13 @@ class NodeParameter:
 
     Attributes:
         name, description: as in `ros2 param`; the description has the unit.
-        default: also fixes the type.
+        default: also fixes the type: a bool, an int, a float or a str; a list is none of these.
         bounds: least and greatest value of a number.
         choices: the texts that are allowed; empty for any.
         live: whether it may change while the node is at work; else the node reads it once.
+
+    Raises:
+        ParameterError: the default has another type.
     """
 
     name: str
@@ -182,6 +191,14 @@ class NodeParameter:
     bounds: Sequence[float] = ()
     choices: Sequence[str] = ()
     live: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a default of another type."""
+        if type(self.default) not in _KINDS:
+            raise ParameterError(
+                f"parameter {self.name}: its default {self.default!r} is of the type "
+                f"{type(self.default).__name__}; it must be {', or '.join(_KINDS.values())}"
+            )
 
     def descriptor(self, lifecycle: bool) -> ParameterDescriptor:
         """The description that `ros2 param describe` shows."""
@@ -204,7 +221,7 @@ class NodeParameter:
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         within = " from {:g} to {:g}".format(*self.bounds) if self.bounds else ""
-        return f"{_KINDS.get(type(self.default), 'text')}{within}"
+        return f"{_KINDS[type(self.default)]}{within}"
 
     def allows(self, value: object) -> bool:
         """Whether a value of its type is finite and among the choices.
@@ -216,7 +233,11 @@ class NodeParameter:
 
 
 def parameter_table(node: str) -> list[NodeParameter]:
-    """The parameters of a node such as `sim`."""
+    """The parameters of a node such as `sim`.
+
+    Raises:
+        ParameterError: the file is no plain YAML, or a default in it has another type.
+    """
     text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
     tables = parse_plain_mapping(text, "parameters.yaml", "nodes", ParameterError)
     return [

@@ -148,31 +148,38 @@ class Replay:
 
         The first is simulated alone; the others, mostly with similar numbers, are expected to turn
         as it does. Those that differ from it in fading numbers alone, as in the friction state of
-        one cable, are simulated only until all these numbers together no longer change a tension.
+        one cable, are simulated only up to the row r after which all these numbers at once no
+        longer change a tension:
+
+            r = last row with max |T(all at once) - T(first)| >= `_FADED_N`, over the cables.
         """
         first, *others = variants
         path = self._path(first, some_may_fail=some_may_fail)
         tensions = np.repeat(path.tensions_n[None], len(variants), axis=0)
-        fading = [self._fading_changes(first, each) for each in others]
-        brief = np.array([bool(changes) for changes in fading], dtype=bool)
-        if brief.sum() < 2:
-            brief[:] = False
-        lasting = [each for each, is_brief in zip(others, brief, strict=True) if not is_brief]
-        if not brief.any():
-            tensions[1:] = self._path_tensions_n(lasting, path, some_may_fail=some_may_fail)
+        fading_changes = [self._fading_changes(first, each) for each in others]
+        is_fading = np.array([bool(changes) for changes in fading_changes], dtype=bool)
+        if is_fading.sum() < 2:
+            is_fading[:] = False
+        whole_arms = [each for each, fades in zip(others, is_fading, strict=True) if not fades]
+        if not is_fading.any():
+            tensions[1:] = self._path_tensions_n(whole_arms, path, some_may_fail=some_may_fail)
             return tensions
-        together = [
-            replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
+        all_at_once = [
+            replace(
+                entry, values=dict(ChainMap(*(c[k] for c in fading_changes if c), entry.values))
+            )
             for k, entry in enumerate(first)
         ]
-        path_n = self._path_tensions_n([*lasting, together], path, some_may_fail=some_may_fail)
-        tensions[1:][~brief] = path_n[:-1]
-        differs = ~(np.abs(path_n[-1] - path.tensions_n).max(axis=1) < _FADED_N)
-        rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
-        fading_arms = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
-        begin = _EquilibriumPath(*(each[:rows] for each in path))
-        tensions[1:][brief, :rows] = self._path_tensions_n(
-            fading_arms, begin, some_may_fail=some_may_fail
+        whole_n = self._path_tensions_n(
+            [*whole_arms, all_at_once], path, some_may_fail=some_may_fail
+        )
+        tensions[1:][~is_fading] = whole_n[:-1]
+        differs = ~(np.abs(whole_n[-1] - path.tensions_n).max(axis=1) < _FADED_N)
+        row_count = int(np.flatnonzero(differs).max(initial=-1)) + 1
+        fading_arms = [each for each, fades in zip(others, is_fading, strict=True) if fades]
+        first_rows = _EquilibriumPath(*(each[:row_count] for each in path))
+        tensions[1:][is_fading, :row_count] = self._path_tensions_n(
+            fading_arms, first_rows, some_may_fail=some_may_fail
         )
         return tensions
 

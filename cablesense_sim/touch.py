@@ -18,8 +18,8 @@ class TouchedPlaces(NamedTuple):
     """Where the N segments of an arm can be touched.
 
     Attributes:
-        touched_m: (N, 2) nearest and farthest place, from each segment's joint centre, along its
-            axis.
+        touched_m: (N, 2) nearest and farthest place at which a segment can be touched, from its
+            joint centre, along its axis: not where one is touched at the moment.
         radius_m: (N,) of the surface, from the axis; zero where contacts act on the axis.
         friction: bound to axial over normal forces; zero where contacts act on the axis with any
             axial force.

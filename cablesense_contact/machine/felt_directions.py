@@ -26,7 +26,7 @@ the other direction does: taken for nothing, it makes no larger error of that on
 def felt_across(observer: Observer) -> Array:
     """(N, 2, 2) projections of forces across the links to their felt part.
 
-    Forces are along y and z of the links' frames. A projection is the identity where both
+    Forces are along y and z of the links' axis frames. A projection is the identity where both
     directions are felt, or none is.
     """
     changes = np.concatenate(_changes_of_readings(observer), axis=2)

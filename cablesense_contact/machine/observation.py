@@ -71,8 +71,9 @@ class Observation(NamedTuple):
         by_torque: (D, n) derivative of observations by contact forces.
         by_parameter: (D, P) by the parameters.
         by_channel: (D, M) by what a channel reads too much.
-        levers: (N, 6, n) generalised forces of unit forces at the links' frames, along the axes
-            that these have at the command, and their slopes along the links' axes.
+        levers: (N, 6, n) generalised forces of unit forces at the origins of the links' axis
+            frames, along the axes that these have at the command, and their slopes along the
+            links' axes.
         torsion: (N, 1, n) of unit moments about the links' axes.
         pose: (n,).
         load_slope: (n, n) derivative of the machine's forces there, at constant tensions.

@@ -3,7 +3,7 @@
 The work is counted in units that are measured on the machine as it is now: preparing the problem
 takes as long as so many fits of effects without a memory, and one course of a history-dependent
 arm is what its fits consist of. Both carry the recording's rows, the arm's size and the load of
-the machine.
+the machine. What shortens a diagnosis is in docs/troubleshooting.md, "A diagnosis takes long".
 """
 
 from __future__ import annotations

@@ -32,7 +32,6 @@ from cablesense_ros.cli.options import (
 from cablesense_ros.cli.summaries import arm_lines, effect_lines, model_lines
 from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_bound import contact_information
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.load_capacity import (
@@ -43,6 +42,7 @@ from cablesense_sim.load_capacity import (
     load_capacity,
 )
 from cablesense_sim.machine.description import is_machine_file
+from cablesense_sim.noise_bound import contact_information
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_sim.touch import touched_places
 
@@ -435,7 +435,7 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
     for pose, bend in (("straight", 0.0), (f"joints within {bend_deg:g} degrees", bend_deg)):
         medians[pose] = {}
         for n in range(arm.segment_count):
-            bound = _contact_bound(arm, n, force_n, bend)
+            bound = _noise_bound(arm, n, force_n, bend)
             median = {key: float(f"{np.median(values):.3g}") for key, values in bound.items()}
             medians[pose][f"segment {n + 1}"] = {
                 key: None if key in known and value > known[key][n] else value
@@ -449,7 +449,7 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
     }
 
 
-def _contact_bound(
+def _noise_bound(
     arm: Arm, n: int, force_n: float, bend_deg: float, at_m: float | None = None
 ) -> dict[str, Array]:
     """Standard deviations (B,) that one sample leaves of lateral forces on segment `n`, from 0.
@@ -500,7 +500,7 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
     for bend, style, colour in ((0.0, "--", "C0"), (bend_deg, "-", "C1")):
         for n, (low, high) in enumerate(touched_m):
             places_m = np.linspace(low, high, _PLACES)
-            bounds = [_contact_bound(arm, n, force_n, bend, place_m) for place_m in places_m]
+            bounds = [_noise_bound(arm, n, force_n, bend, place_m) for place_m in places_m]
             label = f"joints within {bend:g}°" if n == 0 else None
             for key, axes in panels.items():
                 median = [np.median(bound[key]) for bound in bounds]

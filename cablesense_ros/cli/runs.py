@@ -168,10 +168,10 @@ def record(
     """
     from rich.console import Console
 
-    from cablesense_msgs_py.qos import CONTRACT
+    from cablesense_msgs_py.qos import RECORDED_TOPICS
     from cablesense_ros.recorder import record_topics
 
-    record_topics(out, CONTRACT, duration, None, Console(), namespace, force)
+    record_topics(out, RECORDED_TOPICS, duration, None, Console(), namespace, force)
 
 
 def replay(

@@ -94,6 +94,10 @@ class EffectDescription:
 class Effect(EffectDescription):
     """Base of all effects of the arm; the defaults do nothing.
 
+    None sees a recorded column of one's own: one on the arm's body (`amend`) makes one mechanism
+    for all rows, one on actuators or sensors gets times and values. docs/extending.md ("An effect
+    that reads a column") says what such an effect needs first.
+
     Attributes: see `EffectDescription`, and
         acts_on: where in the chain from load to reading it acts.
         sites: the kinds of places where it can be: `arm`, `segment`, `joint`, `cable`.

@@ -16,7 +16,7 @@ from cablesense_contact.calibration_file import calibration_bytes
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import BREATH_END, breath_frame
-from cablesense_msgs_py.qos import CONTRACT, of_contract, resolved
+from cablesense_msgs_py.qos import RECORDED_TOPICS, recorded_topic, resolved
 from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
@@ -132,7 +132,7 @@ class MadeRun:
         channels = {}
         for topic, log_ns, raw in self.records if records is None else records:
             if topic not in channels:
-                of = CONTRACT[of_contract(resolved(topic))]
+                of = RECORDED_TOPICS[recorded_topic(resolved(topic))]
                 kind = dict(kinds).get(topic, of.kind)
                 channels[topic] = file.add(resolved(topic, namespace), kind, of.offered)
             file.write(channels[topic], log_ns, raw)

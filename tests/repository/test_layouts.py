@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 from cablesense_base.installation import config_path
-from cablesense_msgs_py.qos import CONTRACT, resolved
+from cablesense_msgs_py.qos import RECORDED_TOPICS, resolved
 from cablesense_msgs_py.topics import Frames
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
-OF_CONTRACT = {resolved(topic): of for topic, of in CONTRACT.items()}
+RECORDED = {resolved(topic): of for topic, of in RECORDED_TOPICS.items()}
 LENGTHS = {
     "/cable_tensions": ARM.cable_count,
     "/joint_states": ARM.joint_count,
@@ -36,7 +36,7 @@ def text_of(name):
 def fields_of(topic):
     """Names and types of the fields of a topic's message, and whether it has a stamp."""
     endpoints = pytest.importorskip("cablesense_ros.endpoints")
-    return endpoints.message_class(OF_CONTRACT[topic].kind).get_fields_and_field_types()
+    return endpoints.message_class(RECORDED[topic].kind).get_fields_and_field_types()
 
 
 def is_number(topic, path):
@@ -62,7 +62,7 @@ def test_rviz_shows_the_arm_and_the_contact():
     for display in manager["Displays"]:
         topic = display.get("Description Topic") or display.get("Topic")
         if topic:
-            kind = OF_CONTRACT[topic["Value"]].kind
+            kind = RECORDED[topic["Value"]].kind
             shown[display["Class"].partition("/")[2]] = kind.rpartition("/")[2]
     kinds = {"RobotModel": "String", "MarkerArray": "MarkerArray", "Wrench": "WrenchStamped"}
     assert shown == kinds
@@ -74,7 +74,7 @@ def test_rviz_asks_for_a_quality_that_is_offered():
     manager = yaml.safe_load(text_of(".rviz"))["Visualization Manager"]
     topics = [d.get("Description Topic") or d.get("Topic") for d in manager["Displays"]]
     for topic in filter(None, topics):
-        offered = OF_CONTRACT[topic["Value"]].offered
+        offered = RECORDED[topic["Value"]].offered
         assert offered.reliable or topic["Reliability Policy"] == "Best Effort"
         assert offered.transient_local or topic["Durability Policy"] == "Volatile"
         assert topic["History Policy"] == "Keep Last"
@@ -92,10 +92,10 @@ def test_foxglove_panels_are_placed_once_and_read_topics_that_exist():
     scene = panels["3D!arm"]
     layer = scene["layers"]["arm"]
     others = {layer["topic"], layer["jointStatesTopic"], panels["RawMessages!wrench"]["topicPath"]}
-    assert {*scene["topics"], *others} <= set(OF_CONTRACT)
+    assert {*scene["topics"], *others} <= set(RECORDED)
     assert scene["followTf"] == scene["layers"]["grid"]["frameId"] == FRAMES.base
     health = panels["DiagnosticSummary!health"]["topicToRender"]
-    assert OF_CONTRACT[health].kind == "diagnostic_msgs/msg/DiagnosticArray"
+    assert RECORDED[health].kind == "diagnostic_msgs/msg/DiagnosticArray"
 
 
 def test_foxglove_plots_numbers_by_the_stamps_that_there_are():
@@ -143,9 +143,9 @@ def test_plotjuggler_curves_are_numbers_of_the_contract():
     ]
     assert len(curves) == len(set(curves)) > 30
     for curve in curves:
-        topic = max((name for name in OF_CONTRACT if curve.startswith(f"{name}/")), key=len)
+        topic = max((name for name in RECORDED if curve.startswith(f"{name}/")), key=len)
         fields = curve.removeprefix(f"{topic}/").replace("/", ".")
-        if OF_CONTRACT[topic].kind == "sensor_msgs/msg/JointState":
+        if RECORDED[topic].kind == "sensor_msgs/msg/JointState":
             element, _, field = fields.partition(".")
             names = ARM.cable_names if topic == "/cable_tensions" else ARM.joint_names
             assert element in names, curve

@@ -7,7 +7,7 @@ import sys
 import pytest
 import yaml
 
-from cablesense_msgs_py.qos import CONTRACT
+from cablesense_msgs_py.qos import RECORDED_TOPICS
 from cablesense_online.settings import EstimationSettings
 from cablesense_ros.node_process import parameter_table
 from tests.helpers.checkout import CHECKOUT
@@ -49,5 +49,5 @@ def test_the_reference_is_made_from_the_code() -> None:
 
 
 def test_the_reference_has_every_topic() -> None:
-    for topic in CONTRACT:
+    for topic in RECORDED_TOPICS:
         assert topic.strip("/~").split("{")[0] in REFERENCE, topic

@@ -8,6 +8,7 @@ import pytest
 
 from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import RECORDED_TOPICS
 from cablesense_ros.processes import node_command
 from tests.helpers.checkout import CHECKOUT
 
@@ -62,6 +63,14 @@ def test_every_topic_and_service_is_of_the_contract(path):
             assert name in CONTRACT or OWN_SERVICES.fullmatch(name) or lifecycle
 
 
+def test_the_recorder_may_listen_to_what_a_recording_has():
+    listens = names(PROFILES["record"], "topics", "subscribe") - {"clock", "parameter_events"}
+    recorded = {topic.removeprefix("/") for topic in RECORDED_TOPICS}
+    assert listens <= recorded
+    # tf is of robot_state_publisher, which has no enclave here
+    assert recorded - listens <= {"tf", "tf_static"}
+
+
 @pytest.mark.parametrize(
     ("topic", "who"),
     [
@@ -90,7 +99,13 @@ NODES = {
     "estimator": ("EstimatorNode", {}),
     "page": ("PageNode", {"port": 18100}),
     "can_driver": ("CanDriverNode", {"interface": "virtual", "channel": "policy"}),
+    "can_emulator": ("CanEmulatorNode", {"interface": "virtual", "channel": "policy"}),
 }
+OF_SOME_RUNS = {
+    "breather": {"cable_offsets"},  # with `over: cable_offsets`
+    "estimator": {"~/estimate", "joint_states"},  # with cablesense_msgs; of measured joints
+}
+"""What a node asks for only where its parameters or the installation have it do so."""
 RIGHTS = {
     "publisher": ("topics", "publish"),
     "subscriber": ("topics", "subscribe"),
@@ -103,7 +118,7 @@ RIGHTS = {
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("name", NODES)
-def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
+def test_a_live_node_asks_for_what_the_policy_gives(name):
     rclpy = pytest.importorskip("rclpy")
     kind, parameters = NODES[name]
     rclpy.init(args=node_command(name, parameters)[3:])
@@ -115,7 +130,9 @@ def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
             seen = [topic for topic, _ in look(node.get_name(), node.get_namespace())]
             nodes = f"{name}|estimator|breather|commissioner"
             asked = {in_contract(topic.removeprefix("/"), nodes) for topic in seen}
-            assert asked <= names(PROFILES[name], what, right), entity
+            given = names(PROFILES[name], what, right)
+            assert asked <= given, entity
+            assert given - asked <= OF_EVERY_NODE | OF_SOME_RUNS.get(name, set()), entity
     finally:
         node.destroy_node()
         rclpy.utilities.try_shutdown()

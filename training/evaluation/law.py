@@ -27,10 +27,10 @@ from cablesense_contact.slides import Belief, Slides
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.built_arm import as_described, built_arm
-from cablesense_sim.contact_bound import contact_information
 from cablesense_sim.effects.registry import amended, transmissions
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.noise_bound import contact_information
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.touch import touched_places
 from cablesense_sim.uncertain_arm import arm_parameters, cable_friction

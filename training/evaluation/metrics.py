@@ -22,9 +22,9 @@ from pydantic import TypeAdapter
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_bound import contact_response
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.noise_bound import contact_response
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import solved_rows

@@ -23,8 +23,8 @@ class Evidence(NamedTuple):
         torque_precision: (B, T, T) D' S⁻¹ D.
         torque_pull: (B, 1, T) x' S⁻¹ D.
         untouched_chi2: (B,) x' S⁻¹ x.
-        levers: (B, N, 6, T) torques of unit forces at the links' frames, and their derivatives by
-            the distance along the links.
+        levers: (B, N, 6, T) torques of unit forces at the origins of the links' axis frames, and
+            their derivatives by the distance along the links.
         by_torsion: (B, N, 1, T) torques of unit moments about the links' axes.
         log_share: (B, N) added to the log evidence of a contact on each link, for what is not
             linear; None where nothing is.

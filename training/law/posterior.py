@@ -201,10 +201,13 @@ class PosteriorOfContact(nn.Module):
         by_place = (flat @ self.by_place_rows).reshape(*self.coefficients)
         rows = (flat @ self.fixed_rows)[..., None] + self.prior + axial_precision * self.is_axial
         rows = rows + by_place @ torch.cat([s, squared_s], dim=2)
-        plus, by, minus, times, first, pull = rows.split((9, 9, 9, 9, 3, 3), dim=2)
-        # the inverse of a symmetric matrix by its cofactors
-        cofactors = plus * by - minus * times
-        determinant = (first * cofactors[:, :, :3]).sum(2, keepdim=True)
+        next_next, last_last, next_last, last_next, first_row, pull = rows.split(
+            (9, 9, 9, 9, 3, 3), dim=2
+        )
+        # of a symmetric 3 x 3 matrix M the inverse is C / det M with the cofactors
+        # C_ij = M_(i+1)(j+1) M_(i+2)(j+2) - M_(i+1)(j+2) M_(i+2)(j+1), indices modulo 3
+        cofactors = next_next * last_last - next_last * last_next
+        determinant = (first_row * cofactors[:, :, :3]).sum(2, keepdim=True)
         covariance = cofactors / determinant
         matrix = covariance.reshape(*self.matrices)
         force = (matrix * pull[:, :, None]).sum(3)
@@ -296,7 +299,11 @@ _ENTRIES = np.concatenate(
     ]
     + [_AROUND]
 )
-"""Entries of a 3 x 3 matrix: the four of each of its nine cofactors, and then its first row."""
+"""Entries of a 3 x 3 matrix: the four of each of its nine cofactors, and then its first row.
+
+Of the cofactor in row i and column j they are, with the next number i + 1 and the last i + 2, both
+modulo 3: (next, next), (last, last), (next, last) and (last, next).
+"""
 
 
 def _rows_of_fits() -> tuple[Matrix, Matrix]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.arm import open_arm
-from cablesense_sim.contact_bound import contact_information
+from cablesense_sim.noise_bound import contact_information
 from tests.helpers.arm_variants import variant
 from tests.helpers.law_arms import NOISE_STD_N, LawArm, Push
 

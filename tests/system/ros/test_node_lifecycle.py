@@ -1,5 +1,6 @@
 """What all nodes share: parameters, refusals, lifecycle, simulated time, the end by signals."""
 
+import json
 import math
 import re
 import signal
@@ -20,7 +21,7 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
@@ -31,10 +32,11 @@ from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import write_calibration
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import resolved
+from cablesense_msgs_py.qos import RECORDED_TOPICS, recorded_topic, resolved
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.inputs import REPLAYED_FROM
 from cablesense_online.settings import LIVE_SETTINGS
+from cablesense_ros import node_process
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.estimator_node import EstimatorNode
@@ -46,17 +48,21 @@ from cablesense_ros.node_process import (
     parameter_table,
 )
 from cablesense_ros.processes import node_command
+from cablesense_ros.sim_node import SimNode
 from cablesense_sim.arm import open_arm
 from tests.helpers.waiting import until
 
 ARM = open_arm("cdsm")
 RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", (1.0, 100.0))
 MODE = NodeParameter("mode", "slow", "A mode.", choices=("slow", "fast"))
+FOREVER_S = 1e9
+"""From this lease on, DDS means none."""
 NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "commissioner", "page"]
 
 
 @pytest.fixture
 def make_node():
+    """Makes a node. It begins ROS with the node's arguments, so call it once in a test."""
     nodes = []
 
     def make(kind=Node, *arguments, given=None, **overrides):
@@ -84,6 +90,32 @@ def test_a_replay_knows_every_topic_that_a_live_estimator_takes(make_node):
     assert taken - {"/parameter_events", "/clock"} == {resolved(topic) for topic in of_arms}
 
 
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (EstimatorNode, {"autostart": True}),
+        (SimNode, {}),
+        (CanDriverNode, {"interface": "virtual", "channel": "offered"}),
+    ],
+)
+def test_a_node_offers_the_quality_that_the_table_of_topics_has(make_node, kind, given):
+    node = make_node(kind, given=given)
+    getattr(node, "autostart", lambda: None)()
+    names = node.get_publisher_names_and_types_by_node(node.get_name(), node.get_namespace())
+    published = {name: recorded_topic(name) for name, _ in names}
+    known = {name: topic for name, topic in published.items() if topic}
+    assert known
+    for name, topic in known.items():
+        (publisher,) = node.get_publishers_info_by_topic(name)
+        offers = publisher.qos_profile
+        listed = RECORDED_TOPICS[topic].offered
+        assert (offers.reliability == ReliabilityPolicy.RELIABLE) is listed.reliable
+        assert (offers.durability == DurabilityPolicy.TRANSIENT_LOCAL) is listed.transient_local
+        lease_s = offers.liveliness_lease_duration.nanoseconds * 1e-9
+        asked_s = lease_s if lease_s < FOREVER_S else 0.0
+        assert asked_s == pytest.approx(listed.lease_s)
+
+
 def test_a_parameter_shows_its_description_and_range(make_node):
     node = make_node()
     speed = NodeParameter("joint_speed_deg_s", 180.0, "Speed, deg/s.")
@@ -94,6 +126,15 @@ def test_a_parameter_shows_its_description_and_range(make_node):
     assert descriptor.description == "A rate, Hz."
     assert descriptor.floating_point_range[0].to_value == 100.0
     assert descriptor.read_only
+
+
+@pytest.mark.parametrize("default", [[1.0, 2.0], ["joint_1"], {}, None])
+def test_a_table_with_a_parameter_of_another_type_is_refused(monkeypatch, tmp_path, default):
+    text = f"shared: {{}}\nsim:\n  joints: {{default: {json.dumps(default)}, description: Some.}}"
+    (tmp_path / "parameters.yaml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(node_process, "files", lambda _: tmp_path)
+    with pytest.raises(ParameterError, match=r"parameter joints: its default .* must be true or"):
+        parameter_table("sim")
 
 
 @pytest.mark.parametrize("value", [0.5, 1e9, math.nan, math.inf, 50, "fast", True])

@@ -1,19 +1,19 @@
-"""Topics of the contract by their full names, in any namespace, with types that exist."""
+"""Topics of a recording by their full names, in any namespace, with types that exist."""
 
 import pytest
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import CONTRACT, INPUTS, of_contract, resolved
+from cablesense_msgs_py.qos import INPUTS, RECORDED_TOPICS, recorded_topic, resolved
 
 
 @pytest.mark.parametrize("namespace", ["", "/", "left", "/lab/left/"])
-@pytest.mark.parametrize("topic", CONTRACT)
+@pytest.mark.parametrize("topic", RECORDED_TOPICS)
 def test_a_name_is_resolved_and_told_again(topic, namespace):
     name = resolved(topic, namespace)
     assert name.startswith("/")
     assert "//" not in name
     assert "~" not in name
-    assert of_contract(name.format(2)) == topic
+    assert recorded_topic(name.format(2)) == topic
 
 
 def test_names_as_ros_resolves_them():
@@ -25,14 +25,14 @@ def test_names_as_ros_resolves_them():
 
 @pytest.mark.parametrize("name", ["/rosout", "/wrench", "/other/wrench", "/", "", "cable"])
 def test_other_topics_are_none_of_it(name):
-    assert of_contract(name) is None
+    assert recorded_topic(name) is None
 
 
 def test_types_are_installed_or_left_out():
     from cablesense_ros.endpoints import message_class
 
-    missing = {of.kind for of in CONTRACT.values() if message_class(of.kind) is None}
+    missing = {of.kind for of in RECORDED_TOPICS.values() if message_class(of.kind) is None}
     assert missing <= {"tf2_msgs/msg/TFMessage"}
     assert message_class("sensor_msgs/msg/JointState").__name__ == "JointState"
     assert message_class("no_such_msgs/msg/Thing") is None
-    assert set(INPUTS) < set(CONTRACT)
+    assert set(INPUTS) < set(RECORDED_TOPICS)

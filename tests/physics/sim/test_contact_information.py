@@ -7,9 +7,9 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_bound import contact_information
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.kinematics import segment_rotations
+from cablesense_sim.noise_bound import contact_information
 
 VARIANCE_N2 = 0.005
 SAMPLES = 20

@@ -1,4 +1,4 @@
-"""What tensions say of contacts at best: their derivative, and the information in it.
+"""The noise bound of contacts: the derivative of tensions by them, and the information in it.
 
 No unbiased estimate of a contact has a covariance below the inverse of the information (Kay,
 Fundamentals of Statistical Signal Processing, vol. I, 1993, section 3.8).
