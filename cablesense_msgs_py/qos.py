@@ -94,9 +94,6 @@ RECORDED_TOPICS: Final = {
 type is. `record` subscribes to each. Left out are `ESTIMATE`, which repeats other topics, and
 `SIMULATED_TENSIONS`, which come back as `CABLE_TENSIONS`."""
 
-CONTRACT: Final = RECORDED_TOPICS
-"""The same, by the name with which `cablesense_recording.mcap_file` imports it."""
-
 
 def resolved(topic: str, namespace: str = "/") -> str:
     """The full name of a topic of the contract in a namespace, as ROS resolves it."""

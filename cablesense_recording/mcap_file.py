@@ -19,7 +19,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_base.files import plain_name
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Load, NamedOrder, cable_offsets_m, joint_command_rad
-from cablesense_msgs_py.qos import CONTRACT, INPUTS
+from cablesense_msgs_py.qos import INPUTS, RECORDED_TOPICS
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
 from cablesense_recording.first_command import FirstCommand
@@ -226,7 +226,7 @@ def _messages(
     is filled with the full name of each topic that is read.
     """
     spaces = {topic.rpartition("/")[0] for topic in chosen_topics}
-    inputs = {**INPUTS, command_topic: CONTRACT[command_topic]}
+    inputs = {**INPUTS, command_topic: RECORDED_TOPICS[command_topic]}
     others: set[str] = set()
 
     def wanted(raw: RawMessage) -> bool:
