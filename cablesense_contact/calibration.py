@@ -84,7 +84,9 @@ class Calibration:
         unloaded: the readings, in the order in which they were taken.
         chi2: the least sum of squares of the fit, and
         compared: how many numbers of the readings were compared.
-        made_from: where the prior comes from, as a sentence.
+        made_from: what it was made from, as words that may follow "from": the unloaded readings of
+            whoever took them, `a commissioning in 25 poses`; without such readings where the prior
+            comes from. A tare adds a reading and leaves these words.
     """
 
     arm_identity: str
