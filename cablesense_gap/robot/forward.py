@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
+from cablesense_gap.robot.model import OF_POSITION, Change, Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
     Motion,
@@ -42,7 +42,9 @@ _FEWEST_WINDOWS = 15
 """Windows that a recording has at least."""
 _KEPT_WINDOWS = 30
 """Windows that remain of many, however many steps they take."""
-_OF_READING = ("zero", "encoder_scale", "coupling")
+_OF_READING = tuple(name for name in OF_POSITION if name != "play")
+"""Arrays of a change with which actuators act elsewhere than encoders read; play is apart, in
+`Rollouts._of_play`."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 

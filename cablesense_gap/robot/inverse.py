@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
+from cablesense_gap.robot.model import OF_POSITION, Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import (
     Motion,
     MotionComparison,
@@ -32,9 +32,8 @@ from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 from cablesense_recording.recording import RecordingError
 
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
-OF_POSITION = ("zero", "encoder_scale", "coupling", "play")
-"""Numbers of a change that say where joints are, of which positions are read."""
 _OF_MOTION = ("gravity_m_s2", *OF_POSITION)
+"""Arrays of a change with which the bodies' torques are computed anew."""
 _LEAST_KG = 1e-9
 """Mass, and inertia in kg·m², of a body as good as none: the torques of point masses are added."""
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])

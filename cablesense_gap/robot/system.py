@@ -25,8 +25,8 @@ from cablesense_gap.robot.amending import changed, known_robot_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.efforts import effort_readings
 from cablesense_gap.robot.forward import ForwardComparison
-from cablesense_gap.robot.inverse import OF_POSITION, InverseComparison, ServoComparison
-from cablesense_gap.robot.model import Robot, RobotError
+from cablesense_gap.robot.inverse import InverseComparison, ServoComparison
+from cablesense_gap.robot.model import OF_POSITION, Robot, RobotError
 from cablesense_gap.robot.motion import Motion, MotionComparison
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
