@@ -263,7 +263,7 @@ def load_robot(path: str | Path) -> Robot:
 
     Raises:
         RobotError: no such file, not a model, or one without joints, with a free base, or with
-            joints that have no name or more than one coordinate.
+            joints that have no name, more than one coordinate, or two equalities.
     """
     path = Path(path)
     spec = read_spec(path, RobotError)
@@ -284,7 +284,7 @@ def load_robot(path: str | Path) -> Robot:
     if not all(names):
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
     joints = _as_places(names)
-    geared, left_out = _geared(model)
+    geared, left_out = _geared(model, path)
     body_numbers = [
         b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0
     ]
@@ -358,11 +358,11 @@ def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Arr
     return joint_forces
 
 
-def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
+def _geared(model: mujoco.MjModel, path: Path) -> tuple[Array, tuple[str, ...]]:
     """Ratios of joints that are tied to others, and what of the active equalities is left out."""
     geared = np.zeros((model.njnt, model.njnt))
     others = 0
-    for tie in joint_ties(model):
+    for tie in joint_ties(model, path, RobotError):
         if tie.leader is not None and not any(tie.curve[2:]):
             geared[tie.joint, tie.leader] = tie.curve[1]
         else:

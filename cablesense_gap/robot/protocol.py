@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
-from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.model import Robot, RobotError
 from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 from cablesense_recording.csv_file import write_table
@@ -150,12 +150,10 @@ def _sweep(
 def _followed_ties(robot: Robot) -> list[JointTie]:
     """Ties by which joints follow, each behind that of its leader.
 
-    Of two ties of one joint the first counts. In a ring of joints that follow each other the first
-    leads.
+    In a ring of joints that follow each other the first leads.
     """
-    pending: dict[int, JointTie] = {}
-    for tie in joint_ties(robot.model):
-        pending.setdefault(tie.joint, tie)
+    ties = joint_ties(robot.model, robot.path, RobotError)
+    pending = {tie.joint: tie for tie in ties}
     ordered: list[JointTie] = []
     while pending:
         ready = [tie for tie in pending.values() if tie.leader not in pending]
