@@ -27,8 +27,7 @@ from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Indices, Machine
 
 _STEP = 1e-6
-"""Of a coordinate, rad or m, by which derivatives are taken: a force differs in its tenth "
-"digit."""
+"""Of a coordinate, rad or m, by which derivatives are taken: forces differ in the tenth digit."""
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
 _MOST_STEPS = 100
