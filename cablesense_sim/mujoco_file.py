@@ -147,7 +147,7 @@ class JointTie:
         return np.asarray(self.reference[0] + position)
 
     def slope(self, leading: float) -> float:
-        """Derivative of the joint's position by its leader's."""
+        """dq/dp: derivative of the joint's position q by its leader's, p, at p = `leading`."""
         away = leading - self.reference[1]
         slope = 0.0
         for power in range(len(self.curve) - 1, 0, -1):

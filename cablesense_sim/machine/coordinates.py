@@ -54,7 +54,7 @@ class Coordinates:
         return qpos
 
     def slope(self, qpos: Array) -> Array:
-        """(nq, n) ∂q/∂r at positions (nq,)."""
+        """(nq, n) ∂q/∂r: of all joints' positions by the coordinates, at positions (nq,)."""
         slope = np.zeros((len(qpos), len(self)))
         slope[self.joints, np.arange(len(self))] = 1.0
         for tie in self.ties:
