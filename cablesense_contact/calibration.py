@@ -26,19 +26,19 @@ from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 
-DOUBTED_BELOW = 1e-4
+TOLERANCES_DOUBTED_BELOW = 1e-4
 """Probability, by the χ² of all innovations together, below which the tolerances are doubted."""
 REFUSED_BELOW = 1e-6
 """Probability, by the χ² of one more reading's innovation, below which that reading is refused.
 
-It is below `DOUBTED_BELOW`, as more is lost: a refused reading leaves an arm without a tare, or
-ends its commissioning, while a doubted calibration is used and says so.
+It is below `TOLERANCES_DOUBTED_BELOW`, as more is lost: a refused reading leaves an arm without a
+tare, or ends its commissioning, while a doubted calibration is used and says so.
 """
 _ITERATIONS = 15
 """Of the fit: one that needs more does not converge."""
 _CONVERGED_N = 1e-4
 """The fit ends where a step changes no reading by more."""
-_DETERMINED = 0.5
+DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
 MODEL_STD_N = 0.01
 """What a reading differs from the law by for other reasons than its noise: rounding of the last
@@ -107,7 +107,7 @@ class Calibration:
     @property
     def as_described(self) -> bool:
         """Whether the unloaded readings are those of an arm within the tolerances of its file."""
-        return self.misfit_probability >= DOUBTED_BELOW
+        return self.misfit_probability >= TOLERANCES_DOUBTED_BELOW
 
     @property
     def changed_ns(self) -> int:
@@ -219,7 +219,7 @@ class Calibrator:
     def determined(self, calibration: Calibration) -> list[str]:
         """Names of the parameters that readings have determined."""
         prior = self.parameters.prior_std
-        known = calibration.std < _DETERMINED * prior
+        known = calibration.std < DETERMINED_SHARE * prior
         return [name for name, yes in zip(self.parameters.names, known, strict=True) if yes]
 
     def _fitted(self, calibration: Calibration) -> Calibration:

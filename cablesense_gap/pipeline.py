@@ -55,7 +55,7 @@ from cablesense_gap.verdict import (
     Verdict,
 )
 
-DOUBTED = 0.5
+DOUBTFUL_VERDICT = 0.5
 """The largest probability of a verdict that its numbers, or a reference that hardly covers the
 recording, make doubtful."""
 _MUCH_UNEXPLAINED = 0.25
@@ -145,7 +145,9 @@ class _Naming:
         """The same with a probability that doubts bound."""
         if not doubts:
             return self
-        first = replace(self.ranked[0], probability=min(self.ranked[0].probability, DOUBTED))
+        first = replace(
+            self.ranked[0], probability=min(self.ranked[0].probability, DOUBTFUL_VERDICT)
+        )
         return replace(self, ranked=[first, *self.ranked[1:]])
 
     @property
@@ -308,7 +310,7 @@ def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
     if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
         return True
     without_effects = _without_effects([h for r in ranked if (h := r.hypothesis)])
-    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
+    return best.probability <= DOUBTFUL_VERDICT or not best.hypothesis.is_clearly_better_than(
         without_effects
     )
 
