@@ -60,7 +60,8 @@ class Unloaded:
         reading_n: (M,) their mean, in the channels' units: N, of joints' torques N·m.
         command_rad: (2N,); of a machine (C,), rad or m as of `FeltMachine.command_names`.
         count: how many readings.
-        taken_ns: time of the last one since the epoch.
+        taken_ns: time of the last one, ns since the epoch; 0 where it is not known, as of a
+            recording without a date: its sensors then count as not drifted since.
         came_from_rad: (2N,) another command from which the unloaded arm came straight to this one,
             so that it is known in which direction its cables slid; None where that is not known.
     """
@@ -110,9 +111,17 @@ class Calibration:
         return self.misfit_probability >= TOLERANCES_DOUBTED_BELOW
 
     @property
-    def changed_ns(self) -> int:
-        """Time of the last unloaded reading since the epoch; 0 without any."""
+    def last_unloaded_ns(self) -> int:
+        """Time of the last unloaded reading, ns since the epoch.
+
+        It is 0 without readings, and where their times are not known.
+        """
         return max((one.taken_ns for one in self.unloaded), default=0)
+
+    @property
+    def changed_ns(self) -> int:
+        """`last_unloaded_ns`, by its earlier name."""
+        return self.last_unloaded_ns
 
     @property
     def std(self) -> Array:
@@ -171,9 +180,9 @@ class Calibrator:
 
     def aged(self, calibration: Calibration, now_ns: int) -> Calibration:
         """The calibration at a time: zeros drift from the last unloaded reading on."""
-        if not calibration.changed_ns or now_ns <= calibration.changed_ns:
+        if not calibration.last_unloaded_ns or now_ns <= calibration.last_unloaded_ns:
             return calibration
-        drift_n = self._drift_n(calibration.changed_ns, now_ns)
+        drift_n = self._drift_n(calibration.last_unloaded_ns, now_ns)
         covariance = calibration.covariance.copy()
         zeros = self._machine.zeros
         covariance[zeros, zeros] += drift_n**2
@@ -234,7 +243,7 @@ class Calibrator:
         if not unloaded:
             return replace(calibration, mean=prior, covariance=covariance, chi2=0.0, compared=0)
         slides = [self._slides_of(one) for one in unloaded]
-        now_ns = calibration.changed_ns
+        now_ns = calibration.last_unloaded_ns
         # what was known before the last reading is near
         start = np.where(self._is_carried, prior, calibration.mean)
         step = np.zeros(len(prior))
