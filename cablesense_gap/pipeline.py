@@ -301,10 +301,11 @@ def _naming(system: System, weighing: _Weighing) -> _Naming:
 def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
     """Whether the reference leaves open if something changed.
 
-    A channel of which most is not covered may have changed unseen. Named effects rest on the
-    covered readings: they stand if these make them probable, in more than one trial.
+    A channel of which most is not covered (`uncovered_channels`) may have changed unseen. Named
+    effects rest on the covered readings: they stand if these make them probable, in more than one
+    trial.
     """
-    if not coverage.lacking:
+    if not coverage.uncovered_channels:
         return False
     best = ranked[0]
     if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
