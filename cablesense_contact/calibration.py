@@ -274,7 +274,23 @@ class Calibrator:
     def _fit_about(
         self, about: Array, calibration: Calibration, slides: Sequence[Slides], now_ns: int
     ) -> _Fit:
-        """The update by all unloaded readings in turn, linear about one and the same mean."""
+        """The update by all unloaded readings in turn, linear about one and the same mean.
+
+        Of the parameters, λ lasts from pose to pose, the coefficient μ of friction among it. What
+        friction carries, ε = u μ, is another in each pose, by its slides u. Reading k is linear
+        about λ = `about` and ε = E[u_k] μ, with slopes H_λ and H_ε:
+
+            y_k = h_k + H_λ δλ + H_ε δε + noise of covariance R_k
+
+        So ε stands in four places:
+
+        1. before reading k, mean and covariance have the ε of its slides (`slides.carried`);
+        2. the prior's part of the cost is of λ alone (`_is_carried`), as ε has no prior;
+        3. in the cost of reading k, ε is off by the slides alone: with the residual r_k at
+           `about`, r_k' (H_ε var(u_k) E[μ²] H_ε' + R_k)⁻¹ r_k (`slides.alone`);
+        4. slopes by what lasts have it in that of the coefficient,
+           dy_k/dμ = H_μ + H_ε E[u_k] (`slides.by_lasting`).
+        """
         prior = calibration.prior_mean
         covariance = calibration.prior_covariance
         unloaded = calibration.unloaded

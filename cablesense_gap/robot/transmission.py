@@ -247,6 +247,15 @@ def _followed(
     They begin at its actuator, the end nearer to the base; `point` is the tendon's first one in
     the data. A piece has the number of the guide where it begins. A guide that the tendon does not
     touch has zeros.
+
+    For example, from site 0 over geom 1 to site 2 the data have the points a at site 0, b and c
+    where the tendon comes to the geom and leaves it, and d at site 2. With Jacobians J of points
+    that are fixed to their bodies, e of a to b, and f of c to d, all of unit length,
+
+        levers = [e (J_b - J_a), f (J_d - J_c)],   turns = [acos(e f)].
+
+    If it does not touch the geom, the data have a and d alone: with g of a to d, the levers are
+    [g (J_d - J_a), 0], and the turns [0].
     """
     place = data.wrap_xpos.reshape(-1, 3)
     met = data.wrap_obj.ravel()
