@@ -179,7 +179,7 @@ class Change:
             centre in the body's axes.
         gravity_m_s2: (3,) in the model's base axes.
         armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
-        play: (J,) width of the gap between drive and joint, in rad or m.
+        play: (J,) between drive and joint, from one end of it to the other, rad or m.
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         load_side: (J,) whether the latter counts by the drive's torque, 1, or by the joint's, -1.

@@ -217,7 +217,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     pairs = [(a - b) ** 2 for a, b in combinations(torques, 2)]
     nearest = np.min([np.bincount(number, pair.mean(1)) for pair in pairs], axis=0)
     size = np.sqrt(nearest / np.bincount(number))
-    if not size.max() > 0.0:  # backlash, which no trajectory shows that was not measured
+    if not size.max() > 0.0:  # play, which no trajectory shows that was not measured
         return ""
     best = blocks[int(size.argmax())]
     part = "The explanations differ there by" if len(rivals) > 1 else "It shows there as"

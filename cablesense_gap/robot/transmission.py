@@ -1,4 +1,4 @@
-"""What joints and drives lose between them: motion in gaps, and friction of guided tendons."""
+"""What joints and drives lose between them: motion within play, and friction of guided tendons."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _LEAST_SHARE = 1e-6
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
-class BacklashMotion:
-    """Motion of joints relative to their drives, within the gaps that backlash leaves.
+class PlayMotion:
+    """Motion of joints relative to their drives, within their play: the effect `backlash`.
 
     It follows from motion measured at the drives, and the model. A joint lies at that end of its
-    gap at which the drive gives the torque that the link needs. The link moves freely to the other
-    end when that torque changes its sign. `rows` are the motion's R of all ΣT rows.
+    play at which the drive gives the torque that the link needs. The link moves freely to the
+    other end when that torque changes its sign. `rows` are the motion's R of all ΣT rows.
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
@@ -56,24 +56,24 @@ class BacklashMotion:
 
     def moved(self, play: Array) -> Array:
         """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike."""
-        motion_in_gaps = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
+        motion_within_play = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
         for j in np.flatnonzero(play).tolist():
             key = j, float(play[j])
-            motion_in_gaps[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
-        return motion_in_gaps
+            motion_within_play[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
+        return motion_within_play
 
     def _of_joint(self, joint: int, play: float) -> Array:
         motion = self._motion
         by_trial = []
         for free in self._free_acceleration:
-            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
-            smooth = smoothed(gap, motion.rate_hz, motion.smoothed_hz)
+            place = _place_within_play(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)
+            smooth = smoothed(place[:, None], motion.rate_hz, motion.smoothed_hz)
             moved = smooth, *derivatives(smooth, motion.rate_hz)
             by_trial.append(np.hstack(moved).T)
         return np.concatenate(by_trial, 1)
 
 
-def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
+def _place_within_play(acceleration: Array, reach: float, interval_s: float) -> Array:
     """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
     place = float(np.sign(acceleration[0])) * reach
     speed = 0.0
