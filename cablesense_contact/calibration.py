@@ -26,19 +26,19 @@ from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
 
-DOUBTED_BELOW = 1e-4
+TOLERANCES_DOUBTED_BELOW = 1e-4
 """Probability, by the χ² of all innovations together, below which the tolerances are doubted."""
 REFUSED_BELOW = 1e-6
 """Probability, by the χ² of one more reading's innovation, below which that reading is refused.
 
-It is below `DOUBTED_BELOW`, as more is lost: a refused reading leaves an arm without a tare, or
-ends its commissioning, while a doubted calibration is used and says so.
+It is below `TOLERANCES_DOUBTED_BELOW`, as more is lost: a refused reading leaves an arm without a
+tare, or ends its commissioning, while a doubted calibration is used and says so.
 """
 _ITERATIONS = 15
 """Of the fit: one that needs more does not converge."""
 _CONVERGED_N = 1e-4
 """The fit ends where a step changes no reading by more."""
-_DETERMINED = 0.5
+DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
 MODEL_STD_N = 0.01
 """What a reading differs from the law by for other reasons than its noise: rounding of the last
@@ -60,7 +60,8 @@ class Unloaded:
         reading_n: (M,) their mean, in the channels' units: N, of joints' torques N·m.
         command_rad: (2N,); of a machine (C,), rad or m as of `FeltMachine.command_names`.
         count: how many readings.
-        taken_ns: time of the last one since the epoch.
+        taken_ns: time of the last one, ns since the epoch; 0 where it is not known, as of a
+            recording without a date: its sensors then count as not drifted since.
         came_from_rad: (2N,) another command from which the unloaded arm came straight to this one,
             so that it is known in which direction its cables slid; None where that is not known.
     """
@@ -84,7 +85,9 @@ class Calibration:
         unloaded: the readings, in the order in which they were taken.
         chi2: the least sum of squares of the fit, and
         compared: how many numbers of the readings were compared.
-        made_from: where the prior comes from, as a sentence.
+        made_from: what it was made from, as words that may follow "from": the unloaded readings of
+            whoever took them, `a commissioning in 25 poses`; without such readings where the prior
+            comes from. A tare adds a reading and leaves these words.
     """
 
     arm_identity: str
@@ -105,12 +108,20 @@ class Calibration:
     @property
     def as_described(self) -> bool:
         """Whether the unloaded readings are those of an arm within the tolerances of its file."""
-        return self.misfit_probability >= DOUBTED_BELOW
+        return self.misfit_probability >= TOLERANCES_DOUBTED_BELOW
+
+    @property
+    def last_unloaded_ns(self) -> int:
+        """Time of the last unloaded reading, ns since the epoch.
+
+        It is 0 without readings, and where their times are not known.
+        """
+        return max((one.taken_ns for one in self.unloaded), default=0)
 
     @property
     def changed_ns(self) -> int:
-        """Time of the last unloaded reading since the epoch; 0 without any."""
-        return max((one.taken_ns for one in self.unloaded), default=0)
+        """`last_unloaded_ns`, by its earlier name."""
+        return self.last_unloaded_ns
 
     @property
     def std(self) -> Array:
@@ -169,9 +180,9 @@ class Calibrator:
 
     def aged(self, calibration: Calibration, now_ns: int) -> Calibration:
         """The calibration at a time: zeros drift from the last unloaded reading on."""
-        if not calibration.changed_ns or now_ns <= calibration.changed_ns:
+        if not calibration.last_unloaded_ns or now_ns <= calibration.last_unloaded_ns:
             return calibration
-        drift_n = self._drift_n(calibration.changed_ns, now_ns)
+        drift_n = self._drift_n(calibration.last_unloaded_ns, now_ns)
         covariance = calibration.covariance.copy()
         zeros = self._machine.zeros
         covariance[zeros, zeros] += drift_n**2
@@ -217,7 +228,7 @@ class Calibrator:
     def determined(self, calibration: Calibration) -> list[str]:
         """Names of the parameters that readings have determined."""
         prior = self.parameters.prior_std
-        known = calibration.std < _DETERMINED * prior
+        known = calibration.std < DETERMINED_SHARE * prior
         return [name for name, yes in zip(self.parameters.names, known, strict=True) if yes]
 
     def _fitted(self, calibration: Calibration) -> Calibration:
@@ -232,7 +243,7 @@ class Calibrator:
         if not unloaded:
             return replace(calibration, mean=prior, covariance=covariance, chi2=0.0, compared=0)
         slides = [self._slides_of(one) for one in unloaded]
-        now_ns = calibration.changed_ns
+        now_ns = calibration.last_unloaded_ns
         # what was known before the last reading is near
         start = np.where(self._is_carried, prior, calibration.mean)
         step = np.zeros(len(prior))
@@ -263,7 +274,23 @@ class Calibrator:
     def _fit_about(
         self, about: Array, calibration: Calibration, slides: Sequence[Slides], now_ns: int
     ) -> _Fit:
-        """The update by all unloaded readings in turn, linear about one and the same mean."""
+        """The update by all unloaded readings in turn, linear about one and the same mean.
+
+        Of the parameters, λ lasts from pose to pose, the coefficient μ of friction among it. What
+        friction carries, ε = u μ, is another in each pose, by its slides u. Reading k is linear
+        about λ = `about` and ε = E[u_k] μ, with slopes H_λ and H_ε:
+
+            y_k = h_k + H_λ δλ + H_ε δε + noise of covariance R_k
+
+        So ε stands in four places:
+
+        1. before reading k, mean and covariance have the ε of its slides (`slides.carried`);
+        2. the prior's part of the cost is of λ alone (`_is_carried`), as ε has no prior;
+        3. in the cost of reading k, ε is off by the slides alone: with the residual r_k at
+           `about`, r_k' (H_ε var(u_k) E[μ²] H_ε' + R_k)⁻¹ r_k (`slides.alone`);
+        4. slopes by what lasts have it in that of the coefficient,
+           dy_k/dμ = H_μ + H_ε E[u_k] (`slides.by_lasting`).
+        """
         prior = calibration.prior_mean
         covariance = calibration.prior_covariance
         unloaded = calibration.unloaded

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_contact.calibration import Calibration
+from cablesense_contact.calibration import DETERMINED_SHARE, Calibration
 from cablesense_sim.parameter_groups import CARRIED_FRICTION, GroupedParameters
-
-DETERMINED_SHARE = 0.5
-"""A parameter is determined if its deviation is below this share of its tolerance."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +20,7 @@ class KindSummary:
         count: how many parameters.
         tolerance: one standard deviation before the calibration.
         std: median of the standard deviations after it.
-        determined: how many are known to less than half of their tolerance.
+        determined: how many are known to less than `DETERMINED_SHARE` of their tolerance.
         largest: the largest deviation from the arm file, as a multiple of the tolerance.
     """
 

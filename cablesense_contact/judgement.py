@@ -33,7 +33,7 @@ LOG_PRIOR_FAULT = math.log(1e-3)
 """That some channel is wrong now, against none: a fault a day lasts minutes until it is seen."""
 LOG_PRIOR_EXCHANGED = math.log(1e-4)
 """That two channels are exchanged: it happens when an arm is put together."""
-DOUBTED_ABOVE = 0.05
+CONTACT_DOUBTED_ABOVE = 0.05
 """A contact is not vouched for if the rivals together are more probable than this.
 
 It is then as sure as its intervals, which hold in 95 %. It must be above the priors of several
@@ -145,7 +145,7 @@ class Judge:
         best = rivals[0]
         stated = max(contact, 0.0)
         others = sum(math.exp(min(rival.log_total - stated, 50.0)) for rival in rivals)
-        doubted = others / (1.0 + others) > DOUBTED_ABOVE
+        doubted = others / (1.0 + others) > CONTACT_DOUBTED_ABOVE
         misfit = float((seen.contact_chi2 if touched else seen.free_chi2)[0])
         numbers = seen.innovation_n.shape[1]
         limit = largest_chi2(numbers - _CONTACT_NUMBERS if touched else numbers)
@@ -197,7 +197,7 @@ class Judge:
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
         is_narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE_OF_FORCE * size_n)
         on_others = np.delete(seen.contact_evidence[0], link) - seen.contact_evidence[0, link]
-        is_there = float(np.exp(on_others).sum()) <= DOUBTED_ABOVE
+        is_there = float(np.exp(on_others).sum()) <= CONTACT_DOUBTED_ABOVE
         place_is_given = bool(self._is_one_place[link]) and is_there
         return (is_narrow or place_is_given) and low_n <= size_n <= high_n
 

@@ -36,7 +36,7 @@ class Coverage:
 
     Attributes:
         covered: (R, C).
-        by_channel: share of its readings that is covered, and what is lacking, by name.
+        by_channel: share of its readings that is covered, and lacking quantities, by name.
         share: of all readings.
     """
 
@@ -45,14 +45,16 @@ class Coverage:
     share: float
 
     @property
-    def lacking(self) -> dict[str, ChannelCoverage]:
-        """The channels whose floor is mostly extrapolated."""
-        return {name: each for name, each in self.by_channel.items() if not each.suffices}
+    def uncovered_channels(self) -> dict[str, ChannelCoverage]:
+        """The channels whose floor is mostly extrapolated, by name."""
+        return {name: each for name, each in self.by_channel.items() if not each.is_mostly_covered}
 
     @property
     def experiment(self) -> str:
-        """The recording of the healthy machine that the lacking channels need, as text."""
-        wanted = [f"{name} {_range_text(channel)}" for name, channel in self.lacking.items()]
+        """The recording of the healthy machine that the uncovered channels need, as text."""
+        wanted = [
+            f"{name} {_range_text(channel)}" for name, channel in self.uncovered_channels.items()
+        ]
         return (
             "Record this motion when the machine is healthy, and give that as the reference: "
             f"{'; '.join(wanted)}."

@@ -55,7 +55,7 @@ from cablesense_gap.verdict import (
     Verdict,
 )
 
-DOUBTED = 0.5
+DOUBTFUL_VERDICT = 0.5
 """The largest probability of a verdict that its numbers, or a reference that hardly covers the
 recording, make doubtful."""
 _MUCH_UNEXPLAINED = 0.25
@@ -145,7 +145,9 @@ class _Naming:
         """The same with a probability that doubts bound."""
         if not doubts:
             return self
-        first = replace(self.ranked[0], probability=min(self.ranked[0].probability, DOUBTED))
+        first = replace(
+            self.ranked[0], probability=min(self.ranked[0].probability, DOUBTFUL_VERDICT)
+        )
         return replace(self, ranked=[first, *self.ranked[1:]])
 
     @property
@@ -299,16 +301,17 @@ def _naming(system: System, weighing: _Weighing) -> _Naming:
 def _cannot_tell(coverage: Coverage, ranked: Sequence[Ranked]) -> bool:
     """Whether the reference leaves open if something changed.
 
-    A channel of which most is not covered may have changed unseen. Named effects rest on the
-    covered readings: they stand if these make them probable, in more than one trial.
+    A channel of which most is not covered (`uncovered_channels`) may have changed unseen. Named
+    effects rest on the covered readings: they stand if these make them probable, in more than one
+    trial.
     """
-    if not coverage.lacking:
+    if not coverage.uncovered_channels:
         return False
     best = ranked[0]
     if best.hypothesis is None or not best.hypothesis.effects or coverage.share == 0.0:
         return True
     without_effects = _without_effects([h for r in ranked if (h := r.hypothesis)])
-    return best.probability <= DOUBTED or not best.hypothesis.is_clearly_better_than(
+    return best.probability <= DOUBTFUL_VERDICT or not best.hypothesis.is_clearly_better_than(
         without_effects
     )
 

@@ -19,8 +19,6 @@ CANNOT_TELL: Final = "cannot_tell"
 """The reference does not cover the recording, so that nothing can be said."""
 MAX_FILE_BYTES = 10_000_000
 """A verdict is some pages of text; anything larger is not one."""
-_LEAST_COVERED = 0.5
-"""Share of a channel's readings below which its floor is mostly extrapolated."""
 
 
 class VerdictError(CableSenseError):
@@ -298,19 +296,24 @@ class Lacking(FilePart):
     reference: Interval
 
 
+_LEAST_COVERED = 0.5
+"""Share of a channel's readings below which its floor is mostly extrapolated: a verdict against
+the reference is then `cannot_tell`, but for effects that the covered readings show."""
+
+
 class ChannelCoverage(FilePart):
     """The share of a channel's readings that the reference covers, and what it lacks.
 
     Attributes:
-        lacking: conditions beyond the reference's; none where single ones are within, and only
-            their combination is not covered.
+        lacking: quantities of which these readings go beyond the reference's; none where single
+            ones are within, and only their combination is not covered.
     """
 
     share: Probability
     lacking: tuple[Lacking, ...] = ()
 
     @property
-    def suffices(self) -> bool:
+    def is_mostly_covered(self) -> bool:
         """Whether most of the channel's floor is known by the reference, not extrapolated."""
         return self.share >= _LEAST_COVERED
 
@@ -325,7 +328,7 @@ class ReferenceGap(FilePart):
         channels: of a robot, both by joint.
         covered_share: share of the diagnosed readings that the reference covers; the verdict is
             of these alone.
-        coverage: the same by channel, and what is lacking.
+        coverage: the same by channel, and which quantities are lacking.
     """
 
     recording: str
@@ -336,9 +339,14 @@ class ReferenceGap(FilePart):
     coverage: dict[ChannelName, ChannelCoverage] = Field(default_factory=dict)
 
     @property
+    def uncovered_channels(self) -> dict[str, ChannelCoverage]:
+        """The channels that are mostly not covered, by name."""
+        return {name: each for name, each in self.coverage.items() if not each.is_mostly_covered}
+
+    @property
     def lacking(self) -> dict[str, ChannelCoverage]:
-        """The channels that are mostly not covered."""
-        return {name: each for name, each in self.coverage.items() if not each.suffices}
+        """`uncovered_channels`, by its earlier name."""
+        return self.uncovered_channels
 
 
 class Verdict(FilePart):
@@ -420,7 +428,7 @@ class Verdict(FilePart):
                 f"effects: {CANNOT_TELL} is said against a reference alone, and there is none; "
                 f"give one, or say {NONE}, {UNKNOWN} or names of effects"
             )
-        if not self.reference.lacking:
+        if not self.reference.uncovered_channels:
             raise ValueError(
                 f"reference.coverage: {CANNOT_TELL} needs a channel of which less than "
                 f"{_LEAST_COVERED:.0%} is covered, and none is here"

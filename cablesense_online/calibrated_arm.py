@@ -264,7 +264,7 @@ class CalibratedArm:
     ) -> tuple[CalibratedState, Belief]:
         """What is known with these slides, which have a key among all that may be at a pose."""
         # whole steps since the last unloaded reading, which follow from sample and state alone
-        passed_ns = now_ns - state.calibration.changed_ns
+        passed_ns = now_ns - state.calibration.last_unloaded_ns
         aged_ns = now_ns - passed_ns % _AGED_EVERY_NS
         remembered = state.remembered
         if remembered is not None and (remembered.slides, remembered.aged_ns) == (key, aged_ns):

@@ -247,17 +247,19 @@ class Commissioning:
         self._moved_ns = now_ns
         self._heard_ns = now_ns
         self._passed_ns = now_ns
-        self._readings = _Readings()
-        self._latest = _Readings()
-        self._touched = 0
-        self._added = False
+        # those of the hold that are averaged, and those since the last test for a touch
+        self._steady = _Readings()
+        self._since_test = _Readings()
+        self._touches_in_turn = 0
+        self._is_hold_done = False
         self._hold: Visit | None = None
         self._hold_from_ns = now_ns
         self.stage = Stage.HOLDING
         self.problem = ""
         self.skipped = 0
         self.calibration = self._calibrator.by_tolerances()
-        self._present = self.calibration
+        # what the calibration says at the present pose, before its readings
+        self._on_arrival = self.calibration
         self.sent_rad = start_rad
         self._due_rad: Array | None = None
         self._learn()
@@ -272,7 +274,7 @@ class Commissioning:
     def progress(self) -> Progress:
         """How far it has come."""
         stops_left = list(self._left)
-        if self._hold is not None and not self._added:
+        if self._hold is not None and not self._is_hold_done:
             stops_left.insert(0, self._hold)
         here_rad = self._motion.target_rad
         remaining_s = 0.0
@@ -297,16 +299,19 @@ class Commissioning:
         if self.over:
             return
         self._heard_ns = max(self._heard_ns, stamp_ns)
-        if self.stage is not Stage.HOLDING or self._added or stamp_ns < self._hold_from_ns:
+        if self.stage is not Stage.HOLDING or self._is_hold_done or stamp_ns < self._hold_from_ns:
             return
-        self._latest.add(reading_n, stamp_ns)
-        if self._latest.span_s >= _AVERAGED_S and self._is_touched(self._latest.mean_n, stamp_ns):
-            return
-        if self._moves(reading_n):
-            self._readings.clear()
-        self._readings.add(reading_n, stamp_ns)
-        enough = len(self._readings) >= self._settings.readings
-        if enough and self._readings.span_s >= _AVERAGED_S:
+        self._since_test.add(reading_n, stamp_ns)
+        if self._since_test.span_s >= _AVERAGED_S:
+            mean_n = self._since_test.mean_n
+            self._since_test.clear()
+            if self._count_touch(mean_n, stamp_ns):
+                return
+        if self._is_unsteady(reading_n):
+            self._steady.clear()
+        self._steady.add(reading_n, stamp_ns)
+        enough = len(self._steady) >= self._settings.readings
+        if enough and self._steady.span_s >= _AVERAGED_S:
             self._add(stamp_ns)
 
     def stop(self, problem: str, now_ns: int) -> None:
@@ -330,8 +335,8 @@ class Commissioning:
             # what was computed took its time, and no reading could be taken meanwhile
             self._heard_ns = now_ns
         silent_s = (now_ns - self._heard_ns) / _NS
-        if self._added:
-            self._added = False
+        if self._is_hold_done:
+            self._is_hold_done = False
             self._next(now_ns)
         elif silent_s > self._settings.silent_after_s:
             self.stop(f"no reading for {silent_s:.1f} s", now_ns)
@@ -356,10 +361,10 @@ class Commissioning:
         else:
             self.stage = Stage.HOLDING
             self._hold_from_ns = now_ns + round(self._settings.settle_s * _NS)
-            self._present = self._calibrator.moved(self.calibration)
-            self._readings.clear()
-            self._latest.clear()
-            self._touched = 0
+            self._on_arrival = self._calibrator.moved(self.calibration)
+            self._steady.clear()
+            self._since_test.clear()
+            self._touches_in_turn = 0
 
     def _next(self, now_ns: int) -> None:
         """Head for the next hold whose cables stay taut, or back."""
@@ -379,56 +384,66 @@ class Commissioning:
         self._due_rad = target_rad
         self.stage = stage
 
-    def _is_touched(self, mean_n: Array, stamp_ns: int) -> bool:
-        """Whether a mean (M,) of readings is not that of the untouched arm; stops if confirmed."""
-        self._latest.clear()
+    def _count_touch(self, mean_n: Array, stamp_ns: int) -> bool:
+        """Whether a mean (M,) shows a touch; one that is confirmed stops the motion.
+
+        Readings before a touch are not averaged with those after it.
+        """
+        touch = self._touch(mean_n)
+        if not touch:
+            self._touches_in_turn = 0
+            return False
+        self._touches_in_turn += 1
+        self._steady.clear()
+        if self._touches_in_turn >= _CONFIRMED:
+            self.stop(touch, stamp_ns)
+        return True
+
+    def _touch(self, mean_n: Array) -> str:
+        """What a mean (M,) of readings shows that is not the untouched arm's, as a sentence.
+
+        It is empty where nothing touches it. The probability of a contact decides, not the force
+        that the sentence states, which may be small or known badly.
+        """
         seen = self._seen(mean_n)
         judged = self._judge(seen, mean_n)
         if judged.state is ContactState.FREE:
-            self._touched = 0
-            return False
-        self._touched += 1
-        self._readings.clear()
-        if self._touched >= _CONFIRMED:
-            problem = f"readings are not those of the untouched arm: {judged.doubt}"
-            if not judged.doubt:
-                force_n = float(np.hypot(*seen.force_n[0, 1:]))
-                link = self._movable.felt.link_names[judged.segment - 1].replace("_", " ")
-                problem = f"something touches {link}, with about {force_n:.2g} N"
-            self.stop(problem, stamp_ns)
-        return True
+            return ""
+        if judged.doubt:
+            return f"readings are not those of the untouched arm: {judged.doubt}"
+        force_n = float(np.hypot(*seen.force_n[0, 1:]))
+        link = self._movable.felt.link_names[judged.segment - 1].replace("_", " ")
+        return f"something touches {link}, with about {force_n:.2g} N"
 
     def _seen(self, reading_n: Array) -> LawOutput:
         assert self._hold is not None
         return self._law(
             reading_n[None],
             self._hold.pose_rad[None],
-            self._present.mean,
-            self._present.covariance,
+            self._on_arrival.mean,
+            self._on_arrival.covariance,
             self._covariance_at_rest,
         )
 
-    def _moves(self, reading_n: Array) -> bool:
+    def _is_unsteady(self, reading_n: Array) -> bool:
         """Whether a reading is far from the mean of those before it in this hold."""
-        if len(self._readings) < _FEWEST_STEADY:
+        if len(self._steady) < _FEWEST_STEADY:
             return False
-        off_n = np.abs(reading_n - self._readings.mean_n)
+        off_n = np.abs(reading_n - self._steady.mean_n)
         return bool((off_n > self._unsteady_n).any())
 
     def _add(self, stamp_ns: int) -> None:
         assert self._hold is not None
-        count = len(self._readings)
+        count = len(self._steady)
         visit = self._hold
-        unloaded = Unloaded(
-            self._readings.mean_n, visit.pose_rad, count, stamp_ns, visit.beside_rad
-        )
+        unloaded = Unloaded(self._steady.mean_n, visit.pose_rad, count, stamp_ns, visit.beside_rad)
         try:
             self.calibration = self._calibrator.updated(self.calibration, unloaded)
         except CalibrationError as error:
             self.stop(str(error), stamp_ns)
             return
         self._learn()
-        self._added = True
+        self._is_hold_done = True
 
     def _learn(self) -> None:
         """State where the calibration comes from, and what it is worth elsewhere."""

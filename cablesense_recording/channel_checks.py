@@ -1,4 +1,9 @@
-"""Checks that hold for the channels of any machine and of any format: clocks and dead channels.
+"""Checks of the channels of recordings, of any format: clocks and dead channels.
+
+Clocks (`time_findings`), numbers of no measurement and silent rows are checked of any machine.
+Breaks (`robot_breaks`), uneven times, and what joints do by themselves (`dead_…`, `leaps_…`,
+`position_leaps`) are checked of robots alone, whose motion between rows is computed; an arm's
+breaks are in `recording.derive_trials` and `checks`.
 
 Rows are counted from 1, as people count them in a file. Of a bag the messages of the readings are
 counted, those before the first row too; of a robot's, whose rows may be put together from several
@@ -25,12 +30,13 @@ _MOST = 1e9
 """No tension, torque, command or place is larger, in whatever unit."""
 _FOREIGN_INTERVALS = 10.0
 """A single stamp that is off by more of the usual intervals is of another clock."""
-_LEAP_INTERVALS = 5.0
-"""Time leaps where rows are farther apart than this many usual intervals, and"""
-_LEAP_S = 0.1
-"""than this: nothing is known of what lies between."""
-_MOST_LEAPS = 0.05
-"""Share of rows before which time leaps, above which it is no time that rows were sampled by."""
+_ROBOT_BREAK_INTERVALS = 5.0
+"""A robot's recording has a break where rows are farther apart than this many usual intervals,
+and"""
+_ROBOT_BREAK_S = 0.1
+"""than this, s: nothing is known of the motion between."""
+_MOST_BREAKS = 0.05
+"""Share of rows before which there is a break, above which these are no times of samples."""
 _UNEVEN = 3.0
 """Mean interval by the median one, above which it is none either."""
 _BY_CHANCE = 1e-9
@@ -158,26 +164,26 @@ def huge_values(label: str, values: Array, names: RowNames) -> Iterator[Finding]
         )
 
 
-def leaps(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(R,) whether time leaps within a trial before a row."""
+def robot_breaks(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(R,) whether a robot's recording has a break within a trial before a row."""
     steps_s = np.diff(time_s)
     within = np.diff(trial) == 0
     if not within.any():
         return np.zeros(len(time_s), dtype=bool)
     usual_s = float(np.median(steps_s[within]))
-    leap = (steps_s > max(_LEAP_INTERVALS * usual_s, _LEAP_S)) & within
-    return np.append(False, leap)
+    is_break = (steps_s > max(_ROBOT_BREAK_INTERVALS * usual_s, _ROBOT_BREAK_S)) & within
+    return np.append(False, is_break)
 
 
 def uneven_time(time_s: Array, trial: NDArray[np.int64]) -> Iterator[Finding]:
-    """Whether times (R,) of rows in trials, already parted at leaps, are none of samples."""
+    """Whether times (R,) of rows in trials, already parted at breaks, are none of samples."""
     steps_s = np.diff(time_s)[np.diff(trial) == 0]
     parts = len(time_s) - len(steps_s)
     if not steps_s.size:
         return
     mean_s = float(steps_s.mean())
     usual_s = float(np.median(steps_s))
-    if mean_s > _UNEVEN * usual_s or parts > max(_MOST_LEAPS * len(time_s), 2.0):
+    if mean_s > _UNEVEN * usual_s or parts > max(_MOST_BREAKS * len(time_s), 2.0):
         yield refuse(
             "uneven",
             f"{TIME} comes in bursts: rows are {usual_s:.3g} s apart at the median and "
@@ -186,12 +192,12 @@ def uneven_time(time_s: Array, trial: NDArray[np.int64]) -> Iterator[Finding]:
         )
 
 
-def parted_sentence(time_s: Array, leap: NDArray[np.bool_], first_row: int = 1) -> str:
-    """What is done where time leaps (R,)."""
-    largest_s = float(np.diff(time_s)[leap[1:]].max())
-    named = _counted_from(first_row, len(leap)).of(leap)
+def parted_sentence(time_s: Array, is_break: NDArray[np.bool_], first_row: int = 1) -> str:
+    """What is done at the breaks (R,) of a robot's recording."""
+    largest_s = float(np.diff(time_s)[is_break[1:]].max())
+    named = _counted_from(first_row, len(is_break)).of(is_break)
     return (
-        f"{TIME} leaps over {largest_s:.3g} s before {named}: the trial is parted "
+        f"{TIME} has a break of {largest_s:.3g} s before {named}: the trial is parted "
         "there, and nothing is interpolated."
     )
 

@@ -38,7 +38,9 @@ GOOD_TRIALS = 8
 
 _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
-_GAP_INTERVALS = 10.0
+_WARNED_INTERVALS = 10.0
+"""A break that is left within a trial is warned of where rows are farther apart than this many
+usual intervals."""
 _OTHER_RATE = 3.0
 _SAME_RATE = (0.7, 1.4)
 """Ratios of the rows' interval in some unit to the sensors' at which times are in that unit."""
@@ -152,12 +154,12 @@ def _time(recording: Recording, layout: Layout, rate_hz: float | None) -> Iterat
                 f"of {layout.name} says every {read_s:g} s; see whether "
                 "times are in s, and whether the arm file is that of this arm",
             )
-        gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
-        if gap.any():
+        is_break = np.append(False, (steps > _WARNED_INTERVALS * usual) & same_trial)
+        if is_break.any():
             yield warn(
-                "gap",
-                f"{TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
-                f"{recording.where(gap)}, where {usual:.3g} s is usual; a break ends a trial",
+                "break",
+                f"{TIME} has a break of {steps[is_break[1:]].max():.3g} s within a trial before "
+                f"{recording.where(is_break)}, where {usual:.3g} s is usual; begin a trial there",
             )
     starts = np.append(True, ~same_trial)
     numbers, counts = np.unique(recording.trial[starts], return_counts=True)

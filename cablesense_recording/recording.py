@@ -26,8 +26,12 @@ _STILL_S = 1.0
 """A command that has not changed for this long stands still."""
 _REST_S = 3.0
 """An arm without load for this long is at rest; steps of a load come faster."""
-_GAP_S = 1.0
-_GAP_INTERVALS = 5.0
+_PARTING_S = 1.0
+"""Without a column of trials a break begins one where rows are farther apart than this, s, and"""
+_PARTING_INTERVALS = 5.0
+"""than this many usual intervals."""
+_FROM_ZERO_INTERVALS = 5.0
+"""A first stamp of 0 is a time where the next one is at most this many usual intervals later."""
 _SAME_SIDE_COSINE = 0.866
 """Loads within 30 degrees of each other come from one side."""
 SAME_PLACE_M = 0.002
@@ -242,7 +246,7 @@ def one_clock(path: Path, arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.in
     begins_at_zero = (
         len(stamp_ns) > 1
         and bool((steps_ns > 0).all())
-        and float(steps_ns[0]) <= _GAP_INTERVALS * float(np.median(steps_ns))
+        and float(steps_ns[0]) <= _FROM_ZERO_INTERVALS * float(np.median(steps_ns))
     )
     if not missing.any() or begins_at_zero:
         return BagClock(stamp_ns)
@@ -291,7 +295,7 @@ def derive_trials(
 ) -> NDArray[np.int64]:
     """Trial (R,) of each row, from 0, of rows as in a `Recording`.
 
-    One begins after a gap in time, where the command starts to move after standing still, and
+    One begins after a break, where the command starts to move after standing still, and
     where a load starts after a rest, on another segment, at another place or from another side.
     The arm unloaded again belongs to the trial of the load before, which it may still show.
     """
@@ -299,7 +303,7 @@ def derive_trials(
         return np.zeros(0, dtype=np.int64)
     intervals = np.diff(time_s)
     usual = float(np.median(intervals)) if intervals.size else 0.0
-    gap = np.append(False, intervals > max(_GAP_S, _GAP_INTERVALS * usual))
+    is_break = np.append(False, intervals > max(_PARTING_S, _PARTING_INTERVALS * usual))
     changed = np.append(False, (np.diff(command_rad, axis=0) != 0.0).any(axis=1))
     # stamps as floats: a move every _STILL_S must not count by their rounding
     moves = changed & (time_s - _last(time_s, changed)[1] > _STILL_S + 1e-6)
@@ -312,7 +316,7 @@ def derive_trials(
     if load_at_m is not None:
         same = np.isclose(load_at_m, load_at_m[last], rtol=0.0, atol=SAME_PLACE_M, equal_nan=True)
         other_place |= ~same
-    begins = gap | moves | (loaded & (rested | other_place | other_side))
+    begins = is_break | moves | (loaded & (rested | other_place | other_side))
     begins[0] = False
     return np.cumsum(begins, dtype=np.int64)
 

@@ -20,10 +20,10 @@ from cablesense_recording.channel_checks import (
     dead_torque,
     huge_values,
     leap_sentence,
-    leaps,
     leaps_and_returns,
     parted_sentence,
     position_leaps,
+    robot_breaks,
     time_findings,
     uneven_time,
 )
@@ -349,10 +349,10 @@ def _file_rows(path: Path, table: _Columns, channels: RobotChannels, bag: bool) 
     if numbered:
         notes += _notes_on_returning_trials(table[TRIAL][used], trial)
     position = _stacked(table, channels.labels(Kind.POSITION), used)
-    leap, parted, warnings = _leaps(path, channels, time_s, trial, position, first_row)
+    parts, parted, warnings = _parting_rows(path, channels, time_s, trial, position, first_row)
     notes += parted
-    by_number = trial + np.cumsum(leap)
-    trial = by_number if numbered else _by_pauses(time_s, position, leap)
+    by_number = trial + np.cumsum(parts)
+    trial = by_number if numbered else _by_pauses(time_s, position, parts)
     columns = {
         TIME: time_s,
         TRIAL: trial.astype(np.float64),
@@ -416,7 +416,7 @@ def _stacked(table: _Columns, labels: Sequence[str], used: slice) -> Array:
     return np.ascontiguousarray(np.array(columns).reshape(len(labels), count).T)
 
 
-def _leaps(
+def _parting_rows(
     path: Path,
     channels: RobotChannels,
     time_s: Array,
@@ -424,17 +424,17 @@ def _leaps(
     position: Array,
     first_row: int,
 ) -> tuple[NDArray[np.bool_], list[str], list[str]]:
-    """(R,) the rows at which time or a position (R, J) leaps, notes on them, and warnings.
+    """(R,) rows before which there is a break, or a position (R, J) leaps; notes and warnings.
 
     Raises:
         RecordingError: times are uneven, or positions leap back and forth.
     """
     notes: list[str] = []
     warnings: list[str] = []
-    leap = leaps(time_s, trial)
-    if leap.any():
-        notes.append(parted_sentence(time_s, leap, first_row))
-    parted = trial + np.cumsum(leap)
+    is_break = robot_breaks(time_s, trial)
+    if is_break.any():
+        notes.append(parted_sentence(time_s, is_break, first_row))
+    parted = trial + np.cumsum(is_break)
     for finding in uneven_time(time_s, parted):
         raise RecordingError(f"{path}: {finding.text}")
     of_positions = [channel for channel in channels.table if channel.kind is Kind.POSITION]
@@ -447,7 +447,7 @@ def _leaps(
     if jump.any():
         labels = channels.labels(Kind.POSITION)
         notes.append(leap_sentence(labels, position, jump, first_row))
-    return leap | jump, notes, warnings
+    return is_break | jump, notes, warnings
 
 
 def _complete_range(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
@@ -557,8 +557,8 @@ def _plain_number(value: float) -> TrialLabel:
     return int(value) if float(value).is_integer() else f"{value:.12g}"
 
 
-def _by_pauses(time_s: Array, position: Array, leap: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """A trial begins in the middle of each rest of all joints, and where time leaps (R,)."""
+def _by_pauses(time_s: Array, position: Array, parts: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """A trial begins in the middle of each rest of all joints, and where `parts` (R,) is true."""
     interval = np.diff(time_s, prepend=time_s[0])
     typical = float(np.median(interval[1:]))
     window = max(1, round(0.1 / max(typical, 1e-6)))
@@ -571,9 +571,9 @@ def _by_pauses(time_s: Array, position: Array, leap: NDArray[np.bool_]) -> NDArr
         for first, end in zip(edges[::2], edges[1::2], strict=False)
         if time_s[min(end, len(time_s) - 1)] - time_s[first] >= _STILL_S
         and 0 < first < end < len(time_s)
-        and not leap[first : end + window + 1].any()  # where it leaps, it is parted already
+        and not parts[first : end + window + 1].any()  # it is parted there already
     ]
-    marks = leap.astype(np.int64)
+    marks = parts.astype(np.int64)
     marks[rests] = 1
     return np.cumsum(marks)
 

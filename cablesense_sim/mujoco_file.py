@@ -147,7 +147,7 @@ class JointTie:
         return np.asarray(self.reference[0] + position)
 
     def slope(self, leading: float) -> float:
-        """Derivative of the joint's position by its leader's."""
+        """dq/dp: derivative of the joint's position q by its leader's, p, at p = `leading`."""
         away = leading - self.reference[1]
         slope = 0.0
         for power in range(len(self.curve) - 1, 0, -1):
@@ -155,13 +155,25 @@ class JointTie:
         return slope
 
 
-def joint_ties(model: mujoco.MjModel) -> list[JointTie]:
-    """The active equalities of joints; one that is not active ties nothing."""
-    ties = []
+def joint_ties(
+    model: mujoco.MjModel, source: str | Path, refusal: type[CableSenseError]
+) -> list[JointTie]:
+    """The active equalities of joints, no two of one joint; one that is not active ties nothing.
+
+    Raises:
+        CableSenseError: of the class `refusal`, with the name `source` of the model: two of them
+            tie one joint, so that where it is depends on how soft each of them is.
+    """
+    ties: list[JointTie] = []
     for e in range(model.neq):
         if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
             continue
         joint = int(model.eq_obj1id[e])
+        if joint in {tie.joint for tie in ties}:
+            raise refusal(
+                f"{source}: two equalities tie joint {model.joint(joint).name}; leave one of them "
+                "in the model, or tie the other joint by it"
+            )
         leader = int(model.eq_obj2id[e])
         led = leader >= 0
         reference = float(model.qpos0[joint]), float(model.qpos0[leader]) if led else 0.0

@@ -56,7 +56,8 @@ class LawCheck:
 
     Attributes:
         samples: readings that were answered.
-        misfit, moment, place, force: over their bounds, see above; NaN where too few are stated.
+        misfit, moment, place, force: over their bounds, see above; the last three are NaN where
+            fewer than twenty errors are stated.
         answered: share of the contacts that are vouched for.
         false_contacts: share of the untouched readings that are stated as a contact.
         slack: share of the readings in which a cable is slack.
@@ -76,13 +77,17 @@ class LawCheck:
 
     @property
     def worst(self) -> float:
-        """The largest of the figures that are over their bounds."""
+        """The largest of the figures that are over their bounds, without those that are NaN."""
         figures = [self.misfit, self.moment, self.place, self.force]
         return float(np.nanmax(figures))
 
     @property
     def fault(self) -> str:
-        """What is wrong with the law; empty if nothing is."""
+        """What is wrong with the law; empty if nothing is.
+
+        A figure that is NaN is not judged, as too few contacts state it: a law that knows moments
+        alone has none of the place and of the force. One that has none at all is at fault.
+        """
         over = {
             name: value
             for name, value in asdict(self).items()
@@ -105,6 +110,11 @@ class LawCheck:
             return (
                 f"it vouches for {self.answered:.0%} of the contacts, and at least "
                 f"{LEAST_ANSWERED:.0%} are required"
+            )
+        if np.isnan([self.moment, self.place, self.force]).all():
+            return (
+                f"it states fewer than {_FEWEST_OF_A_QUANTILE} contacts where they are, so that "
+                "none of its errors can be judged"
             )
         return ""
 

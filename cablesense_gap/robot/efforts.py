@@ -1,18 +1,18 @@
 """What the efforts and positions of a recording are: their unit, and whether they have gravity.
 
-Each reading of a joint's effort is one hypothesis of a linear regression on the parts of the
-model's torque,
+Each interpretation of a joint's effort is one hypothesis of a linear regression on the parts of
+the model's torque,
 
     effort = b_d (inertia and Coriolis) + b_g gravity + friction + damping + rotor + zero + noise,
 
-in which the reading says where b_d and b_g are: both near 1 for torque, near 1000 for torque in
-mN·m, b_g near 0 for torque without gravity, both near the same unknown number for a current. How
-near is what models of real machines leave. Positions in degrees and times in milliseconds change
-the model's torque instead. All other coefficients, and the size of the noise, are as wide for
-every hypothesis, so the posterior follows from b_d and b_g alone: where a motion does not show
-them, nothing is stated. One hypothesis is that the efforts are torques of a machine that has what
-no model knows: a spring, which looks like inertia of the other sign in a sine, and friction that
-depends on the place.
+in which the interpretation says where b_d and b_g are: both near 1 for torque, near 1000 for
+torque in mN·m, b_g near 0 for torque without gravity, both near the same unknown number for a
+current. How near is what models of real machines leave. Positions in degrees and times in
+milliseconds change the model's torque instead. All other coefficients, and the size of the noise,
+are as wide for every hypothesis, so the posterior follows from b_d and b_g alone: where a motion
+does not show them, nothing is stated. One hypothesis is that the efforts are torques of a machine
+that has what no model knows: a spring, which looks like inertia of the other sign in a sine, and
+friction that depends on the place.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from cablesense_gap.robot.motion import Motion
 from cablesense_recording.units import OTHER_TIME_UNITS
 
 SURE: Final = 0.99
-"""Posterior probability from which on a reading other than the stated one is told."""
+"""Posterior probability from which on an interpretation other than the stated one is told."""
 
 _MODEL_SHARE = 0.2
-"""Standard deviation of b_d and b_g about those of a reading: link masses of real models."""
+"""Standard deviation of b_d and b_g about those of an interpretation: link masses of models."""
 _LEFT_GRAVITY = 0.15
 """That of b_g where a drive takes gravity out, by its own masses."""
 _EFFECT_SHARE = 3.0
@@ -67,7 +67,7 @@ _PRIOR: Final = {
     "gain": 0.005,
     "reversed gain": 0.005,
 }
-"""Prior probability of each kind of reading; several of a kind share it."""
+"""Prior probability of each kind of interpretation; several of a kind share it."""
 _AS_STATED: Final = ("torque", "effect", "anything")
 """Kinds in which the effort is the torque that the model means, whatever the machine is."""
 _SHARED = 0.3
@@ -77,7 +77,7 @@ _OTHER_MOTION = 0.05
 
 
 _Kind = tuple[str, str]
-"""Kind of a reading, and the name of its unit."""
+"""Kind of an interpretation, and the name of its unit."""
 
 
 class Parts(NamedTuple):
@@ -88,8 +88,8 @@ class Parts(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Reading:
-    """One reading of a joint's effort.
+class Interpretation:
+    """One interpretation of a joint's effort.
 
     Attributes:
         kind: as in the priors.
@@ -118,8 +118,8 @@ class _Change:
 
 
 @dataclass(frozen=True)
-class EffortReadings:
-    """Posterior probabilities of the readings of a recording's efforts.
+class EffortInterpretations:
+    """Posterior probabilities of the interpretations of a recording's efforts.
 
     Attributes:
         suspect: what the columns are instead of what they state, as sentences without an end.
@@ -134,7 +134,9 @@ class EffortReadings:
     gain_range: Array
 
 
-def effort_readings(robot: Robot, motion: Motion, stated: Sequence[bool] = ()) -> EffortReadings:
+def effort_interpretations(
+    robot: Robot, motion: Motion, stated: Sequence[bool] = ()
+) -> EffortInterpretations:
     """What a recording's efforts and positions are, by its motion and the nominal robot.
 
     `motion` has measured torques. Of joints (J,) whose effort is `stated`, gravity and gain are
@@ -156,7 +158,7 @@ def effort_readings(robot: Robot, motion: Motion, stated: Sequence[bool] = ()) -
         suspect = list(_suspect_efforts(robot, nominal, stated))
     doubts = [] if suspect else list(_doubtful_gains(robot, nominal, stated))
     gain, gain_range = nominal.gains()
-    return EffortReadings(tuple(suspect), tuple(doubts), gain, gain_range)
+    return EffortInterpretations(tuple(suspect), tuple(doubts), gain, gain_range)
 
 
 def _normalised(log_weight: Array) -> Array:
@@ -281,13 +283,13 @@ class _Regression:
 
 
 class _JointRegression:
-    """The readings of one joint's effort (Q,), by columns (Q, K) as in the module's equation.
+    """Interpretations of one joint's effort (Q,), by columns (Q, K) as in the module's equation.
 
     Behind those of dynamics, gravity, friction, damping, zero and rotor are the unmodelled ones.
     """
 
     def __init__(self, effort: Array, columns: Array, rotor: float, unit: str) -> None:
-        self.readings = tuple(_readings(unit))
+        self.interpretations = tuple(_interpretations(unit))
         size = float(np.sqrt((effort**2).mean()))
         nuisance = np.sqrt((columns[:, 2:] ** 2).mean(axis=0))
         self._sd = _NUISANCE_SHARE * size / np.maximum(nuisance, 1e-12)
@@ -299,7 +301,7 @@ class _JointRegression:
         triangle /= np.sqrt(_ROWS_A_SAMPLE)
         self._columns = triangle[:, :-1]
         self._effort = triangle[:, -1]
-        log_weight = np.array([each.log_prior for each in self.readings])
+        log_weight = np.array([each.log_prior for each in self.interpretations])
         self._log_likelihood = self._log_likelihoods()
         log_weight = log_weight + self._log_likelihood
         self.log_evidence = float(logsumexp(log_weight))
@@ -308,26 +310,28 @@ class _JointRegression:
     @property
     def names_of_units(self) -> tuple[str, ...]:
         """Those in which the effort may be."""
-        return tuple(dict.fromkeys(each.name for each in self.readings if each.kind == "unit"))
+        return tuple(
+            dict.fromkeys(each.name for each in self.interpretations if each.kind == "unit")
+        )
 
-    def _prior(self, reading: Reading) -> tuple[Array, Array]:
+    def _prior(self, of: Interpretation) -> tuple[Array, Array]:
         """Mean (K,) and standard deviation (K,) of the coefficients."""
         mean = np.zeros(len(self._sd) + 2)
-        mean[:2] = reading.dynamic, reading.gravity
+        mean[:2] = of.dynamic, of.gravity
         nuisance = self._sd.copy()
-        nuisance[_ROTOR] *= abs(reading.dynamic)  # a rotor is read in the unit of the effort
-        if reading.kind != "anything":
+        nuisance[_ROTOR] *= abs(of.dynamic)  # a rotor is read in the unit of the effort
+        if of.kind != "anything":
             nuisance[_ROTOR + 1 :] = 0.0
-        return mean, np.concatenate([[reading.dynamic_sd, reading.gravity_sd], nuisance])
+        return mean, np.concatenate([[of.dynamic_sd, of.gravity_sd], nuisance])
 
     def _log_likelihoods(self) -> Array:
-        """(H,) of the effort y by each reading, the mean over the noises s.
+        """(H,) of the effort y by each interpretation, the mean over the noises s.
 
         With X V^1/2 = U diag(e) W' and r = y - X m, y - X m ~ N(0, s^2 I + X V X') has
         log det = n log s^2 + sum log(1 + e^2 / s^2) and
         r' (s^2 I + X V X')^-1 r = |r - U U' r|^2 / s^2 + sum (U' r)^2 / (s^2 + e^2).
         """
-        priors = [self._prior(reading) for reading in self.readings]
+        priors = [self._prior(each) for each in self.interpretations]
         mean = np.array([each for each, _ in priors])
         spread = np.array([each for _, each in priors])
         axes, singular, _ = np.linalg.svd(self._columns * spread[:, None, :], full_matrices=False)
@@ -348,18 +352,18 @@ class _JointRegression:
         """Natural logarithm of the probability of the effort, if it is of a kind with a name."""
         of_kind = [
             number
-            for number, each in enumerate(self.readings)
+            for number, each in enumerate(self.interpretations)
             if (each.kind, each.name) == (kind, name)
         ]
-        log_prior = np.array([self.readings[number].log_prior for number in of_kind])
+        log_prior = np.array([self.interpretations[number].log_prior for number in of_kind])
         return float(logsumexp(self._log_likelihood[of_kind] + log_prior) - logsumexp(log_prior))
 
     @property
     def kinds(self) -> dict[_Kind, float]:
         """Probabilities of what the effort is, by itself."""
         kinds: dict[_Kind, float] = {}
-        for reading, probability in zip(self.readings, self.probability.tolist(), strict=True):
-            kind = reading.kind, reading.name
+        for each, probability in zip(self.interpretations, self.probability.tolist(), strict=True):
+            kind = each.kind, each.name
             kinds[kind] = kinds.get(kind, 0.0) + probability
         return kinds
 
@@ -378,8 +382,8 @@ class _JointRegression:
 
     def gain(self) -> tuple[float, Array]:
         """The gain of an unknown unit, its mean by the posterior, and a range (2,) of 95 %."""
-        of_gains = [n for n, each in enumerate(self.readings) if "gain" in each.kind]
-        gain = np.array([self.readings[n].dynamic for n in of_gains])
+        of_gains = [n for n, each in enumerate(self.interpretations) if "gain" in each.kind]
+        gain = np.array([self.interpretations[n].dynamic for n in of_gains])
         weight = self.probability[of_gains]
         if not weight.sum() > 0.0:
             return 1.0, np.array([1.0, 1.0])
@@ -395,22 +399,22 @@ class _JointRegression:
         return float(sign * np.exp(middle)), np.sort(sign * ends)
 
 
-def _readings(unit: str) -> Iterator[Reading]:
+def _interpretations(unit: str) -> Iterator[Interpretation]:
     """Those of an effort of a joint whose torque has a unit."""
 
-    def near(kind: str, name: str, factor: float, share: float = 1.0) -> Reading:
+    def near(kind: str, name: str, factor: float, share: float = 1.0) -> Interpretation:
         sd = _MODEL_SHARE * abs(factor)
         log_prior = float(np.log(share * _PRIOR[kind]))
-        return Reading(kind, name, factor, factor, sd, sd, log_prior)
+        return Interpretation(kind, name, factor, factor, sd, sd, log_prior)
 
     yield near("torque", "", 1.0)
     log_effect = float(np.log(_PRIOR["effect"] / len(_EFFECTS) ** 2))
     for dynamic in _EFFECTS.tolist():
         for gravity in _EFFECTS.tolist():
             sds = _MODEL_SHARE * dynamic, _MODEL_SHARE * gravity
-            yield Reading("effect", "", dynamic, gravity, *sds, log_effect)
+            yield Interpretation("effect", "", dynamic, gravity, *sds, log_effect)
     log_anything = float(np.log(_PRIOR["anything"]))
-    yield Reading("anything", "", 1.0, 1.0, _EFFECT_SHARE, _EFFECT_SHARE, log_anything)
+    yield Interpretation("anything", "", 1.0, 1.0, _EFFECT_SHARE, _EFFECT_SHARE, log_anything)
     units = _UNITS[unit]
     for name, factor in units.items():
         for sign, signed_name in ((1.0, name), (-1.0, f"{name} with the other sign")):
@@ -418,10 +422,10 @@ def _readings(unit: str) -> Iterator[Reading]:
             wide_sd = _EFFECT_SHARE * factor
             log_share = float(np.log(0.25 * _PRIOR["unit"] / len(units)))
             wide = sign * factor, sign * factor, wide_sd, wide_sd, log_share
-            yield Reading("unit", signed_name, *wide)
+            yield Interpretation("unit", signed_name, *wide)
     yield near("sign", "", -1.0)
     log_without = float(np.log(_PRIOR["without gravity"]))
-    yield Reading("without gravity", "", 1.0, 0.0, _MODEL_SHARE, _LEFT_GRAVITY, log_without)
+    yield Interpretation("without gravity", "", 1.0, 0.0, _MODEL_SHARE, _LEFT_GRAVITY, log_without)
     for gain in _GAINS.tolist():
         yield near("gain", "", gain, 1.0 / len(_GAINS))
         yield near("reversed gain", "", -gain, 1.0 / len(_GAINS))

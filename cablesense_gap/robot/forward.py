@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
+from cablesense_gap.robot.model import OF_POSITION, Change, Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
     Motion,
@@ -27,7 +27,7 @@ from cablesense_gap.robot.motion import (
     smoothed,
     through,
 )
-from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
+from cablesense_gap.robot.transmission import GuidedTendons, PlayMotion
 from cablesense_recording.recording import RecordingError
 
 _OF_MOTION = 1.0
@@ -42,7 +42,9 @@ _FEWEST_WINDOWS = 15
 """Windows that a recording has at least."""
 _KEPT_WINDOWS = 30
 """Windows that remain of many, however many steps they take."""
-_OF_READING = ("zero", "encoder_scale", "coupling")
+_OF_READING = tuple(name for name in OF_POSITION if name != "play")
+"""Arrays of a change with which actuators act elsewhere than encoders read; play is apart, in
+`Rollouts._of_play`."""
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
@@ -134,7 +136,7 @@ class Rollouts:
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
         self.path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
-        self._gaps = BacklashMotion(robot, motion)
+        self._play_motion = PlayMotion(robot, motion)
         self._tendons = GuidedTendons(robot, motion)
         self._motion = motion
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.trials]
@@ -192,8 +194,8 @@ class Rollouts:
         return position * true + change.zero, speed * true
 
     def _of_play(self, change: Change) -> Array:
-        """(Q, S, J) torques that links need in addition, because backlash changes their motion."""
-        behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
+        """(Q, S, J) torques that links need in addition, because play changes their motion."""
+        behind = [_at(each, self._at) for each in self._play_motion.moved(change.play)]
         model = self._robot.varied(change)
         model.dof_armature[:] = 0.0
         model.dof_damping[:] = 0.0
@@ -201,7 +203,7 @@ class Rollouts:
             inverse_dynamics(model, *(each.reshape(-1, model.nv) for each in moved))
             for moved in (
                 self.path,
-                [each + gap for each, gap in zip(self.path, behind, strict=True)],
+                [each + within for each, within in zip(self.path, behind, strict=True)],
             )
         ]
         return np.asarray((needed[1] - needed[0]).reshape(self.path[0].shape))

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
+from cablesense_gap.robot.model import OF_POSITION, Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import (
     Motion,
     MotionComparison,
@@ -28,13 +28,12 @@ from cablesense_gap.robot.motion import (
     noise_of_smoothed,
     smoothed,
 )
-from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
+from cablesense_gap.robot.transmission import GuidedTendons, PlayMotion
 from cablesense_recording.recording import RecordingError
 
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
-OF_POSITION = ("zero", "encoder_scale", "coupling", "play")
-"""Numbers of a change that say where joints are, of which positions are read."""
 _OF_MOTION = ("gravity_m_s2", *OF_POSITION)
+"""Arrays of a change with which the bodies' torques are computed anew."""
 _LEAST_KG = 1e-9
 """Mass, and inertia in kg·m², of a body as good as none: the torques of point masses are added."""
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
@@ -51,7 +50,7 @@ class InverseDynamics:
         self._robot = robot
         self._motion = motion
         self._nominal = robot.nominal()
-        self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
+        self._play_motion = PlayMotion(robot, motion) if isinstance(motion, Motion) else None
         self._tendons = GuidedTendons(robot, motion)
         self._cached = Recent()
         self._slides = Recent()
@@ -67,12 +66,11 @@ class InverseDynamics:
             motion.acceleration / true,
         )
         behind: Array | Sequence[float] = (0.0, 0.0, 0.0)
-        if self._gaps is not None and change.play.any():
-            behind = self._gaps.moved(change.play)[:, self._gaps.rows]
-        drives_and_gaps = zip(drive, behind, strict=True)
+        if self._play_motion is not None and change.play.any():
+            behind = self._play_motion.moved(change.play)[:, self._play_motion.rows]
         return drive, tuple(
-            drive_motion + drive_motion @ change.coupling.T + gap
-            for drive_motion, gap in drives_and_gaps
+            drive_motion + drive_motion @ change.coupling.T + within_play
+            for drive_motion, within_play in zip(drive, behind, strict=True)
         )
 
     def torques(self, change: Change) -> Array:
@@ -308,7 +306,7 @@ class ServoComparison(MotionComparison):
         self._dynamics = InverseDynamics(robot, motion)
         servo_command = motion.command[:, robot.servo_controls]
         self._target = servo_command * self._servos.per_command + self._servos.offset
-        self._gaps = BacklashMotion(robot, self._of_drives(robot))
+        self._play_motion = PlayMotion(robot, self._of_drives(robot))
         self.names = tuple(f"position.{joint}" for joint in robot.joints)
         self.columns = self.names
         self.units = robot.position_units
@@ -338,7 +336,7 @@ class ServoComparison(MotionComparison):
         drive = target - yields / (servos.stiffness * (1.0 + change.servo_gain))
         joint = drive + drive @ change.coupling.T
         if change.play.any():
-            joint = joint + self._gaps.moved(change.play)[0, self._gaps.rows]
+            joint = joint + self._play_motion.moved(change.play)[0, self._play_motion.rows]
         read = change.zero + (1.0 + change.encoder_scale) * joint
         return motion.passed(read - self._target)
 
@@ -349,7 +347,7 @@ class ServoComparison(MotionComparison):
         return Conditions(*map(motion.passed, parts))
 
     def _of_drives(self, robot: Robot) -> Motion:
-        """The motion of the drives: the measured one has crossed the gaps already."""
+        """The motion of the drives: the measured one has gone through their play already."""
         motion = self._motion
         servos = self._servos
         trials = []

@@ -6,9 +6,10 @@ import copy
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import chain, count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -26,24 +27,6 @@ _GUIDES = {
 _LEAST_KG = 1e-9
 _LEAST_LINK_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
-_ZERO_BY_JOINT = (
-    "play",
-    "load_friction",
-    "presliding",
-    "load_presliding",
-    "load_side",
-    "stribeck",
-    "stribeck_speed",
-    "load_stribeck",
-    "load_stribeck_speed",
-    "lopsided",
-    "zero",
-    "encoder_scale",
-    "torque_scale",
-    "torque_offset",
-    "servo_gain",
-)
-"""Arrays of `Change` that are zero for the robot as the model has it."""
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
 
 
@@ -126,9 +109,13 @@ class Robot:
         """The robot as the model has it, for effects to change."""
         model = self.model
         ids = self.body_ids
-        count = len(self.joints)
         axes = np.array([_rotation(model.body_iquat[b]) for b in ids])
-        zeros: dict[str, Any] = {name: np.zeros(count) for name in _ZERO_BY_JOINT}
+        counts = {"joints": len(self.joints), "tendons": len(self.tendons)}
+        zeros: dict[str, Any] = {
+            each.name: np.zeros([counts[axis] for axis in each.metadata["axes"]])
+            for each in fields(Change)
+            if each.metadata
+        }
         return Change(
             mass_kg=model.body_mass[ids].copy(),
             centre_m=model.body_ipos[ids].copy(),
@@ -138,9 +125,6 @@ class Robot:
             damping=model.dof_damping.copy(),
             stiffness=model.jnt_stiffness.copy(),
             friction=model.dof_frictionloss.copy(),
-            capstan_friction=np.zeros(len(self.tendons)),
-            capstan_presliding=np.zeros(len(self.tendons)),
-            coupling=np.zeros((count, count)),
             farthest_mass_m=2.0 * self.longest_link_m,
             **zeros,
         )
@@ -175,16 +159,27 @@ class Robot:
         return model
 
 
+_BY_JOINT = MappingProxyType({"axes": ("joints",), "moves": False})
+_BY_TENDON = MappingProxyType({"axes": ("tendons",), "moves": False})
+_WHERE_JOINTS_ARE = MappingProxyType({"axes": ("joints",), "moves": True})
+_WHERE_JOINTS_ARE_BY_JOINT = MappingProxyType({"axes": ("joints", "joints"), "moves": True})
+"""Of arrays of `Change` that are zero for the robot as the model has it: what their axes count,
+and whether they say where joints are, of which positions are read."""
+
+
 @dataclass
 class Change:
     """What effects change: arrays by joint (J,) or by body (B,), in the robot's order.
+
+    A new array is a field, with the metadata of those that are zero in the model, and stands in
+    `Attributes`.
 
     Attributes:
         mass_kg, centre_m, inertia_kg_m2: (B,), (B, 3) in the body's frame, (B, 3, 3) about the
             centre in the body's axes.
         gravity_m_s2: (3,) in the model's base axes.
         armature, damping, stiffness, friction: (J,) as MuJoCo has them; friction is dry.
-        play: (J,) width of the gap between drive and joint, in rad or m.
+        play: (J,) between drive and joint, from one end of it to the other, rad or m.
         load_friction: (J,) dry friction by the torque that the joint transmits.
         presliding, load_presliding: (J,) how far joints give elastically before these slip.
         load_side: (J,) whether the latter counts by the drive's torque, 1, or by the joint's, -1.
@@ -207,28 +202,28 @@ class Change:
     inertia_kg_m2: Array
     gravity_m_s2: Array
     armature: Array
-    play: Array
     damping: Array
     stiffness: Array
     friction: Array
-    load_friction: Array
-    presliding: Array
-    load_presliding: Array
-    load_side: Array
-    stribeck: Array
-    stribeck_speed: Array
-    load_stribeck: Array
-    load_stribeck_speed: Array
-    lopsided: Array
-    capstan_friction: Array
-    capstan_presliding: Array
-    zero: Array
-    encoder_scale: Array
-    coupling: Array
-    torque_scale: Array
-    torque_offset: Array
-    servo_gain: Array
     farthest_mass_m: float
+    play: Array = field(metadata=_WHERE_JOINTS_ARE)
+    load_friction: Array = field(metadata=_BY_JOINT)
+    presliding: Array = field(metadata=_BY_JOINT)
+    load_presliding: Array = field(metadata=_BY_JOINT)
+    load_side: Array = field(metadata=_BY_JOINT)
+    stribeck: Array = field(metadata=_BY_JOINT)
+    stribeck_speed: Array = field(metadata=_BY_JOINT)
+    load_stribeck: Array = field(metadata=_BY_JOINT)
+    load_stribeck_speed: Array = field(metadata=_BY_JOINT)
+    lopsided: Array = field(metadata=_BY_JOINT)
+    capstan_friction: Array = field(metadata=_BY_TENDON)
+    capstan_presliding: Array = field(metadata=_BY_TENDON)
+    zero: Array = field(metadata=_WHERE_JOINTS_ARE)
+    encoder_scale: Array = field(metadata=_WHERE_JOINTS_ARE)
+    coupling: Array = field(metadata=_WHERE_JOINTS_ARE_BY_JOINT)
+    torque_scale: Array = field(metadata=_BY_JOINT)
+    torque_offset: Array = field(metadata=_BY_JOINT)
+    servo_gain: Array = field(metadata=_BY_JOINT)
     delay_s: float = 0.0
 
     def key(self, *names: str) -> tuple[bytes, ...]:
@@ -259,12 +254,16 @@ class Change:
         self.centre_m[body] = centre
 
 
+OF_POSITION = tuple(each.name for each in fields(Change) if each.metadata.get("moves"))
+"""Arrays of a change that say where joints are, of which positions are read."""
+
+
 def load_robot(path: str | Path) -> Robot:
     """Read an MJCF or a URDF.
 
     Raises:
         RobotError: no such file, not a model, or one without joints, with a free base, or with
-            joints that have no name or more than one coordinate.
+            joints that have no name, more than one coordinate, or two equalities.
     """
     path = Path(path)
     spec = read_spec(path, RobotError)
@@ -285,7 +284,7 @@ def load_robot(path: str | Path) -> Robot:
     if not all(names):
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
     joints = _as_places(names)
-    geared, left_out = _geared(model)
+    geared, left_out = _geared(model, path)
     body_numbers = [
         b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0
     ]
@@ -359,11 +358,11 @@ def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Arr
     return joint_forces
 
 
-def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
+def _geared(model: mujoco.MjModel, path: Path) -> tuple[Array, tuple[str, ...]]:
     """Ratios of joints that are tied to others, and what of the active equalities is left out."""
     geared = np.zeros((model.njnt, model.njnt))
     others = 0
-    for tie in joint_ties(model):
+    for tie in joint_ties(model, path, RobotError):
         if tie.leader is not None and not any(tie.curve[2:]):
             geared[tie.joint, tie.leader] = tie.curve[1]
         else:

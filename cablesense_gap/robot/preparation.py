@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from cablesense_base import Array
-from cablesense_gap.robot.efforts import effort_readings
+from cablesense_gap.robot.efforts import effort_interpretations
 from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
@@ -97,7 +97,7 @@ def prepared(
         return _as_wide_as_needed(recording, *options)
     if gain is None:
         as_recorded = _as_wide_as_needed(recording, robot, bandwidth_hz, False, zeroed, external)
-        gain = 1.0 / np.abs(effort_readings(robot, as_recorded).gain)
+        gain = 1.0 / np.abs(effort_interpretations(robot, as_recorded).gain)
     gain = np.where(unknown, gain, 1.0)
     in_torque = replace(recording, torque=recording.torque * gain)
     motion = _as_wide_as_needed(in_torque, *options)

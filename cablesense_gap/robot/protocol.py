@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
-from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.model import Robot, RobotError
 from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 from cablesense_recording.csv_file import write_table
@@ -150,12 +150,10 @@ def _sweep(
 def _followed_ties(robot: Robot) -> list[JointTie]:
     """Ties by which joints follow, each behind that of its leader.
 
-    Of two ties of one joint the first counts. In a ring of joints that follow each other the first
-    leads.
+    In a ring of joints that follow each other the first leads.
     """
-    pending: dict[int, JointTie] = {}
-    for tie in joint_ties(robot.model):
-        pending.setdefault(tie.joint, tie)
+    ties = joint_ties(robot.model, robot.path, RobotError)
+    pending = {tie.joint: tie for tie in ties}
     ordered: list[JointTie] = []
     while pending:
         ready = [tie for tie in pending.values() if tie.leader not in pending]
@@ -219,7 +217,7 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     pairs = [(a - b) ** 2 for a, b in combinations(torques, 2)]
     nearest = np.min([np.bincount(number, pair.mean(1)) for pair in pairs], axis=0)
     size = np.sqrt(nearest / np.bincount(number))
-    if not size.max() > 0.0:  # backlash, which no trajectory shows that was not measured
+    if not size.max() > 0.0:  # play, which no trajectory shows that was not measured
         return ""
     best = blocks[int(size.argmax())]
     part = "The explanations differ there by" if len(rivals) > 1 else "It shows there as"

@@ -23,10 +23,10 @@ from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts, friction_forms, loads
 from cablesense_gap.robot.amending import changed, known_robot_effects
 from cablesense_gap.robot.effects import RobotEffect
-from cablesense_gap.robot.efforts import effort_readings
+from cablesense_gap.robot.efforts import effort_interpretations
 from cablesense_gap.robot.forward import ForwardComparison
-from cablesense_gap.robot.inverse import OF_POSITION, InverseComparison, ServoComparison
-from cablesense_gap.robot.model import Robot, RobotError
+from cablesense_gap.robot.inverse import InverseComparison, ServoComparison
+from cablesense_gap.robot.model import OF_POSITION, Robot, RobotError
 from cablesense_gap.robot.motion import Motion, MotionComparison
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
@@ -465,7 +465,7 @@ def wrong_columns(
 
     if np.isfinite(recording.torque).any():
         compared = prepared(recording, robot, bandwidth_hz, forward=False, zeroed=zeroed)
-        suspect = effort_readings(robot, compared, recording.stated_efforts).suspect
+        suspect = effort_interpretations(robot, compared, recording.stated_efforts).suspect
         if suspect:
             return list(suspect)
     exchanged = doubts.exchanged(recording, robot, lambda each: by_torque(each).left_shares())
@@ -551,7 +551,7 @@ def _doubtful_units(recording: RobotRecording, system: RobotSystem) -> Sequence[
     motion = system.motion
     if motion.by_command or motion.external or motion.forward:
         return system.doubtful()
-    return effort_readings(system.robot, motion, recording.stated_efforts).doubts
+    return effort_interpretations(system.robot, motion, recording.stated_efforts).doubts
 
 
 def _fitted_gains(robot: Robot, motion: Motion) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What joints and drives lose between them: motion in gaps, and friction of guided tendons."""
+"""What joints and drives lose between them: motion within play, and friction of guided tendons."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _LEAST_SHARE = 1e-6
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
-class BacklashMotion:
-    """Motion of joints relative to their drives, within the gaps that backlash leaves.
+class PlayMotion:
+    """Motion of joints relative to their drives, within their play: the effect `backlash`.
 
     It follows from motion measured at the drives, and the model. A joint lies at that end of its
-    gap at which the drive gives the torque that the link needs. The link moves freely to the other
-    end when that torque changes its sign. `rows` are the motion's R of all ΣT rows.
+    play at which the drive gives the torque that the link needs. The link moves freely to the
+    other end when that torque changes its sign. `rows` are the motion's R of all ΣT rows.
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
@@ -56,24 +56,24 @@ class BacklashMotion:
 
     def moved(self, play: Array) -> Array:
         """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike."""
-        motion_in_gaps = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
+        motion_within_play = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
         for j in np.flatnonzero(play).tolist():
             key = j, float(play[j])
-            motion_in_gaps[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
-        return motion_in_gaps
+            motion_within_play[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
+        return motion_within_play
 
     def _of_joint(self, joint: int, play: float) -> Array:
         motion = self._motion
         by_trial = []
         for free in self._free_acceleration:
-            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
-            smooth = smoothed(gap, motion.rate_hz, motion.smoothed_hz)
+            place = _place_within_play(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)
+            smooth = smoothed(place[:, None], motion.rate_hz, motion.smoothed_hz)
             moved = smooth, *derivatives(smooth, motion.rate_hz)
             by_trial.append(np.hstack(moved).T)
         return np.concatenate(by_trial, 1)
 
 
-def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
+def _place_within_play(acceleration: Array, reach: float, interval_s: float) -> Array:
     """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
     place = float(np.sign(acceleration[0])) * reach
     speed = 0.0
@@ -247,6 +247,15 @@ def _followed(
     They begin at its actuator, the end nearer to the base; `point` is the tendon's first one in
     the data. A piece has the number of the guide where it begins. A guide that the tendon does not
     touch has zeros.
+
+    For example, from site 0 over geom 1 to site 2 the data have the points a at site 0, b and c
+    where the tendon comes to the geom and leaves it, and d at site 2. With Jacobians J of points
+    that are fixed to their bodies, e of a to b, and f of c to d, all of unit length,
+
+        levers = [e (J_b - J_a), f (J_d - J_c)],   turns = [acos(e f)].
+
+    If it does not touch the geom, the data have a and d alone: with g of a to d, the levers are
+    [g (J_d - J_a), 0], and the turns [0].
     """
     place = data.wrap_xpos.reshape(-1, 3)
     met = data.wrap_obj.ravel()

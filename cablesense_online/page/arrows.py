@@ -1,4 +1,4 @@
-"""Forces as drawn: arrows with their sizes, the outline of an interval, and what a drag pulls."""
+"""Forces as drawn: arrows, how long they are, and what a drag pulls."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.page.snapshot import ForceBounds
 
 
 @dataclass(frozen=True)
-class Arrows:
-    """Sizes of arrows: that of `strongest_n` is 3/4 of `size_m`, the size of the machine."""
+class ArrowScale:
+    """How long arrows are: that of `strongest_n` is 3/4 of `size_m`, the size of the machine."""
 
     size_m: float
     strongest_n: float
@@ -40,49 +39,18 @@ def unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def arrow_m(contact_m: Array, force_n: Array, clearance_m: float, arrows: Arrows) -> Array:
+def arrow_m(contact_m: Array, force_n: Array, clearance_m: float, scale: ArrowScale) -> Array:
     """Tail and tip (2, 3) of the arrow that pushes on a contact.
 
     It points at the arm and ends `clearance_m` before its axis.
     """
     direction = unit(force_n)
     tip = contact_m - clearance_m * direction
-    return np.stack([tip - arrows.length_m(np.linalg.norm(force_n)) * direction, tip])
+    return np.stack([tip - scale.length_m(np.linalg.norm(force_n)) * direction, tip])
 
 
 CLEARANCE = 1.1
 """Distance of an arrow's tip from the axis, over the radius of the link."""
-INTERVAL_LINES = 66
-"""Half of them for each arc."""
-
-
-def interval_m(
-    contact_m: Array,
-    normal: Array,
-    force_n: Array,
-    angle_deg: float,
-    bounds: ForceBounds,
-    clearance_m: float,
-    arrows: Arrows,
-) -> Array:
-    """Lines (L, 2, 3) around the places where the arrow of a force within `bounds` may begin.
-
-    It turns in the plane with the `normal` (3,), the axis of the segment. The lines begin at the
-    arrow of the estimated force (3,), at its contact angle; its part along the axis is left out.
-    The others as in `arrow_m`.
-    """
-    ahead = unit(force_n - (force_n @ normal) * normal)
-    aside = np.cross(ahead, normal)  # contact angles grow from +z to +y, against the axis' screw
-    first_deg, last_deg = bounds.angles_deg or (0.0, 360.0)
-    width_deg = (last_deg - first_deg) % 360.0 if bounds.angles_deg else 360.0
-    turn = np.deg2rad(first_deg - angle_deg + np.linspace(0.0, width_deg, INTERVAL_LINES // 2))
-    rays = np.outer(np.cos(turn), ahead) + np.outer(np.sin(turn), aside)
-    near, far = (
-        contact_m - (clearance_m + arrows.length_m(end_n)) * rays
-        for end_n in (bounds.low_n, bounds.high_n)
-    )
-    outline = np.concatenate([near, far[::-1], near[:1]])
-    return np.stack([outline[:-1], outline[1:]], axis=1)
 
 
 def place_m(joint_m: Array, axis: Array, ray_origin: Array, ray_direction: Array) -> float:
@@ -97,7 +65,7 @@ def place_m(joint_m: Array, axis: Array, ray_origin: Array, ray_direction: Array
 
 
 def pulled_contact(
-    segment: int, joint_m: Array, axis: Array, at_command: Array, ends_m: Array, arrows: Arrows
+    segment: int, joint_m: Array, axis: Array, at_command: Array, ends_m: Array, scale: ArrowScale
 ) -> Contact:
     """The contact that pulls a segment, 1 … N, from one point to another.
 
@@ -107,9 +75,9 @@ def pulled_contact(
         axis: (3,) of the segment, a unit vector.
         at_command: (3, 3) its rotation at the commanded pose, in whose axes contacts are.
         ends_m: (2, 3) where the segment is held, and where to.
-        arrows: say how many newtons a length is.
+        scale: says how many newtons a length is.
     """
     (held_m, towards_m) = ends_m
-    force_n = arrows.newtons_per_m * (towards_m - held_m)
+    force_n = scale.newtons_per_m * (towards_m - held_m)
     place_m = float((held_m - joint_m) @ axis)
     return Contact.of_force(segment, (force_n @ at_command).tolist(), place_m)

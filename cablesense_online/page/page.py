@@ -14,7 +14,7 @@ import viser
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.page.arrows import Arrows
+from cablesense_online.page.arrows import ArrowScale
 from cablesense_online.page.colours import full_scale_n
 from cablesense_online.page.controls import Actions, Controls
 from cablesense_online.page.figures import html
@@ -108,9 +108,9 @@ class Page:
         self._controls: Controls | None = None
         self._command_values = [slider.home for slider in shown.sliders]
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
-        arrows = Arrows(shown.extent.size_m, shown.strongest_n)
+        scale = ArrowScale(shown.extent.size_m, shown.strongest_n)
         mouse = Mouse(self._touch, self._pull) if actions else None
-        self._scene = MachineScene(server.scene, shown, arrows, mouse)
+        self._scene = MachineScene(server.scene, shown, scale, mouse)
         # where "Reset View" of the viewer's menu leads
         server.initial_camera.position, server.initial_camera.look_at = view(shown.extent, _WIDE)
         self._lay_out()

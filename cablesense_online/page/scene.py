@@ -16,17 +16,18 @@ from scipy.spatial.transform import Rotation
 from cablesense_base import Array
 from cablesense_contact.felt import LinksAtPose
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.page.arrows import (
-    CLEARANCE,
-    INTERVAL_LINES,
-    Arrows,
-    arrow_m,
-    interval_m,
-    place_m,
-    pulled_contact,
-)
+from cablesense_online.page.arrows import CLEARANCE, ArrowScale, arrow_m, place_m, pulled_contact
 from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, linear_rgb, piece_rgb
 from cablesense_online.page.figures import newtons_text
+from cablesense_online.page.marks import (
+    BAND_OPACITY,
+    BAND_SHARE,
+    CABLE_WIDTH,
+    FORCE_OUTLINE_LINES,
+    FORCE_OUTLINE_WIDTH,
+    interval_outline_m,
+    place_band,
+)
 from cablesense_online.page.shown import (
     Cylinder,
     DrawnPose,
@@ -38,14 +39,8 @@ from cablesense_online.page.shown import (
 )
 from cablesense_online.page.snapshot import PlaceInterval, Snapshot
 
-_CABLE_WIDTH = 0.008
-"""Of a drawn cable, as a share of the machine's size, as the following ones."""
-_INTERVAL_WIDTH = 0.006
-"""Of the line of an interval."""
-_THINNEST_REGION = 0.006
-"""Of the band of a contact's place."""
 _SHAFT_RADIUS = 0.0071
-"""Of an arrow."""
+"""Of an arrow, as a share of the machine's size, as the following ones."""
 _HEAD_RADIUS = 0.018
 """Of an arrow's head."""
 _HEAD_LENGTH = 0.056
@@ -60,10 +55,6 @@ _POSE_DIGITS = 5
 """Joint positions, rad or m, are rounded to this many digits: smaller changes are not drawn."""
 _ALONG_X = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Quaternion, w x y z, that lays a cylinder, which stands on z, along x."""
-_REGION_SHARE = 1.35
-"""Radius of the band of a contact's place, over that of the link."""
-_REGION_OPACITY = 0.5
-"""Of this band: the link stays visible."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +103,11 @@ class MachineScene:
         self,
         scene: viser.SceneApi,
         shown: ShownMachine,
-        arrows: Arrows,
+        scale: ArrowScale,
         mouse: Mouse | None = None,
     ) -> None:
         """Without a `mouse` the machine is only shown."""
-        self._arrows = arrows
+        self._scale = scale
         self._scene = scene
         self._shown = shown
         self._mouse = mouse
@@ -135,27 +126,27 @@ class MachineScene:
             name = f"{shown.bodies[label.body]}/label_{number}"
             self._add_label(name, label.text, label.position_m, label.anchor)
         self._cables = self._add_cables(drawn)
-        self._interval = scene.add_line_segments(
-            "/interval",
-            np.zeros((INTERVAL_LINES, 2, 3)),
-            np.tile(linear_rgb(np.array(ESTIMATE_RGB)), (INTERVAL_LINES, 2, 1)),
-            thickness=_INTERVAL_WIDTH * arrows.size_m,
+        self._force_outline = scene.add_line_segments(
+            "/force_outline",
+            np.zeros((FORCE_OUTLINE_LINES, 2, 3)),
+            np.tile(linear_rgb(np.array(ESTIMATE_RGB)), (FORCE_OUTLINE_LINES, 2, 1)),
+            thickness=FORCE_OUTLINE_WIDTH * scale.size_m,
             visible=False,
         )
-        self._region = [
+        self._place_bands = [
             scene.add_cylinder(
-                f"/region/{n}",
-                _REGION_SHARE * surface_m,
+                f"/place/{n}",
+                BAND_SHARE * surface_m,
                 color=ESTIMATE_RGB,
-                opacity=_REGION_OPACITY,
+                opacity=BAND_OPACITY,
                 cast_shadow=False,
                 visible=False,
             )
             for n, surface_m in enumerate(shown.surface_m.tolist(), start=1)
         ]
         count = len(shown.words.links)
-        self._true = _Forces(scene, count, arrows, "true", TRUE_RGB, "bottom-right")
-        self._estimated = _Forces(scene, count, arrows, "est.", ESTIMATE_RGB, "bottom-left")
+        self._true = _Forces(scene, count, scale, "true", TRUE_RGB, "bottom-right")
+        self._estimated = _Forces(scene, count, scale, "est.", ESTIMATE_RGB, "bottom-left")
 
     def show(self, snapshot: Snapshot, full_scale_n: float) -> None:
         """Draws an instant; cables are coloured against the legend's full scale, N."""
@@ -171,27 +162,27 @@ class MachineScene:
         links = drawn.links
         self._links = links
         self._frame_axes = self._shown.links_at(snapshot.frame_pose).axes
-        aside_m = 0.5 * self._arrows.apart_m
+        aside_m = 0.5 * self._scale.apart_m
         estimated = self._forces(snapshot.estimated, aside_m)
         self._true.show(snapshot.true, self._forces(snapshot.true, -aside_m), self._clearance_m)
         self._estimated.show(snapshot.estimated, estimated, self._clearance_m)
         strongest = next(iter(snapshot.estimated), None)
         bounds = snapshot.bounds
-        self._interval.visible = bool(strongest and strongest.magnitude_n and bounds)
-        if self._interval.visible and strongest and bounds:
+        self._force_outline.visible = bool(strongest and strongest.magnitude_n and bounds)
+        if self._force_outline.visible and strongest and bounds:
             (point_m, force_n) = estimated[0]
             n = strongest.segment - 1
-            lines_m = interval_m(
+            lines_m = interval_outline_m(
                 point_m,
                 links.axes[n, :, 0],
                 force_n,
                 strongest.angle_deg,
                 bounds,
                 float(self._clearance_m[n]),
-                self._arrows,
+                self._scale,
             )
-            self._interval.points = lines_m.astype(np.float32)
-        self._show_region(snapshot.region, links)
+            self._force_outline.points = lines_m.astype(np.float32)
+        self._show_place(snapshot.region, links)
 
     def _forces(self, contacts: Sequence[Contact], further_m: float) -> list[tuple[Array, Array]]:
         """Points and forces (3,) of contacts in the base frame, so much further along."""
@@ -208,24 +199,23 @@ class MachineScene:
         rgb = piece_rgb(readings, self._shown.piece_channel, full_scale_n)
         return np.repeat(linear_rgb(rgb)[:, None], 2, axis=1)
 
-    def _show_region(self, region: Sequence[PlaceInterval], links: LinksAtPose) -> None:
+    def _show_place(self, region: Sequence[PlaceInterval], links: LinksAtPose) -> None:
         """A band around what an interval of places covers of each link."""
         lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
-        thinnest_m = _THINNEST_REGION * self._arrows.size_m
         covered = {part.segment: part for part in region}
-        for n, band in enumerate(self._region):
+        for n, band in enumerate(self._place_bands):
             part = covered.get(n + 1)
             band.visible = part is not None
             if part is None:
                 continue
-            middle_m = 0.5 * (part.low_m + part.high_m)
+            middle_m, length_m = place_band(part, self._scale.size_m)
             band.position = links.origin_m[n] + middle_m * links.axes[n, :, 0]
             turn = Rotation.from_matrix(links.axes[n]) * lying
             band.wxyz = turn.as_quat(scalar_first=True)
-            band.scale = (1.0, 1.0, max(part.high_m - part.low_m, thinnest_m))
+            band.scale = (1.0, 1.0, length_m)
 
     def _add_ground(self) -> None:
-        size_m = self._arrows.size_m
+        size_m = self._scale.size_m
         floor_m = self._shown.extent.floor_m
         x_m, y_m, _ = self._shown.extent.look_at_m.tolist()
         square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * size_m))))
@@ -248,11 +238,11 @@ class MachineScene:
 
     def _add_axes(self) -> None:
         """The axes of the base frame, on the floor below the base, where nothing hides them."""
-        length_m = _AXES_LENGTH * self._arrows.size_m
+        length_m = _AXES_LENGTH * self._scale.size_m
         self._scene.add_frame(
             "/axes",
             axes_length=length_m,
-            axes_radius=_AXES_RADIUS * self._arrows.size_m,
+            axes_radius=_AXES_RADIUS * self._scale.size_m,
             position=(0.0, 0.0, self._shown.extent.floor_m),
         )
         for axis, name in enumerate("xyz"):
@@ -271,7 +261,7 @@ class MachineScene:
             np.full(
                 drawn.piece_m.shape, 128, dtype=np.uint8
             ),  # one colour would stay the only one
-            thickness=_CABLE_WIDTH * self._arrows.size_m,
+            thickness=CABLE_WIDTH * self._scale.size_m,
         )
 
     def _add_solid(self, name: str, solid: Solid) -> None:
@@ -314,7 +304,7 @@ class MachineScene:
             self._links.axes[n, :, 0],
             self._frame_axes[n],
             ends_m,
-            self._arrows,
+            self._scale,
         )
         mouse.pulled(client, contact)
 
@@ -329,20 +319,20 @@ class _Forces:
         self,
         scene: viser.SceneApi,
         link_count: int,
-        sizes: Arrows,
+        scale: ArrowScale,
         name: str,
         rgb: Rgb,
         anchor: _Anchor,
     ) -> None:
         self._name = name
-        self._sizes = sizes
+        self._scale = scale
         self._arrows = scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
             linear_rgb(np.array(rgb)),
-            shaft_radius=_SHAFT_RADIUS * sizes.size_m,
-            head_radius=_HEAD_RADIUS * sizes.size_m,
-            head_length=_HEAD_LENGTH * sizes.size_m,
+            shaft_radius=_SHAFT_RADIUS * scale.size_m,
+            head_radius=_HEAD_RADIUS * scale.size_m,
+            head_length=_HEAD_LENGTH * scale.size_m,
             visible=False,
         )
         look: Any = {"anchor": anchor, "font_screen_scale": 1.05, "visible": False}
@@ -360,7 +350,7 @@ class _Forces:
         Arrows end so far (N,) before the axes of the links.
         """
         arrows_m = [
-            arrow_m(point_m, force_n, float(clearance_m[contact.segment - 1]), self._sizes)
+            arrow_m(point_m, force_n, float(clearance_m[contact.segment - 1]), self._scale)
             for contact, (point_m, force_n) in zip(contacts, forces, strict=True)
         ]
         if contacts:

@@ -16,24 +16,23 @@ from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.page.arrows import CLEARANCE, Arrows, arrow_m, interval_m
+from cablesense_online.page.arrows import CLEARANCE, ArrowScale, arrow_m
 from cablesense_online.page.colours import ESTIMATE_RGB, TRUE_RGB, Rgb, full_scale_n, piece_rgb
+from cablesense_online.page.marks import (
+    BAND_OPACITY,
+    BAND_SHARE,
+    CABLE_WIDTH,
+    FORCE_OUTLINE_WIDTH,
+    interval_outline_m,
+    place_band,
+)
 from cablesense_online.page.shown import Cylinder, DrawnPose, Mesh, ShownMachine, Solid, Sphere
 from cablesense_online.page.snapshot import Snapshot
 
-_CABLE_RADIUS = 0.004
-"""Of a drawn cable, as a share of the machine's size, as the following ones."""
-_OUTLINE_RADIUS = 0.0028
-"""Of the outline of an interval."""
 _ARROW_RADIUS = 0.013
-"""Of an arrow's shaft."""
+"""Of an arrow's shaft, as a share of the machine's size."""
 _ARROW_STRETCH = 2.0
 """MuJoCo draws an arrow half as long as what it connects."""
-_THINNEST_REGION = 0.01
-"""Of the band of a contact's place."""
-_REGION_SHARE = 1.3
-"""Radius of this band, over that of the link."""
-_REGION_OPACITY = 0.6
 _VIEW_ANGLE_DEG = 35.0
 _DISTANCE = 1.4
 """From the camera to the machine's middle, in sizes of the machine."""
@@ -165,49 +164,47 @@ def _add_solid(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, mesh_nam
 def _add_all(scene: mujoco.MjvScene, shown: ShownMachine, snapshot: Snapshot, pose: _Pose) -> None:
     """Cables, the band of the place, both arrows, and the outline of the interval."""
     size_m = shown.extent.size_m
-    arrows = Arrows(size_m, shown.strongest_n)
+    scale = ArrowScale(size_m, shown.strongest_n)
     _add_cables(scene, shown, snapshot, pose.drawn)
     links = pose.drawn.links
     for part in snapshot.region:
         n = part.segment - 1
-        middle_m = 0.5 * (part.low_m + part.high_m)
-        half_m = 0.5 * max(part.high_m - part.low_m, _THINNEST_REGION * size_m)
+        band = place_band(part, size_m)
+        half_m = 0.5 * band.length_m
         along = links.axes[n, :, 0]
-        centre = links.origin_m[n] + middle_m * along
+        centre = links.origin_m[n] + band.middle_m * along
         ends = np.stack([centre - half_m * along, centre + half_m * along])
-        radius_m = _REGION_SHARE * float(shown.surface_m[n])
-        _connect(
-            scene, mujoco.mjtGeom.mjGEOM_CYLINDER, radius_m, ends, ESTIMATE_RGB, _REGION_OPACITY
-        )
+        radius_m = BAND_SHARE * float(shown.surface_m[n])
+        _connect(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, radius_m, ends, ESTIMATE_RGB, BAND_OPACITY)
     for contacts, rgb, aside_m in (
-        (snapshot.true, TRUE_RGB, -0.5 * arrows.apart_m),
-        (snapshot.estimated, ESTIMATE_RGB, 0.5 * arrows.apart_m),
+        (snapshot.true, TRUE_RGB, -0.5 * scale.apart_m),
+        (snapshot.estimated, ESTIMATE_RGB, 0.5 * scale.apart_m),
     ):
         for contact in contacts:
-            (tail_m, tip_m), _ = _arrow(shown, pose, contact, aside_m, arrows)
+            (tail_m, tip_m), _ = _arrow(shown, pose, contact, aside_m, scale)
             ends = np.stack([tail_m, tail_m + _ARROW_STRETCH * (tip_m - tail_m)])
             arrow = mujoco.mjtGeom.mjGEOM_ARROW
             _connect(scene, arrow, _ARROW_RADIUS * size_m, ends, rgb)
     if snapshot.estimated and snapshot.bounds is not None:
         contact = snapshot.estimated[0]
         n = contact.segment - 1
-        _, (point_m, force_n) = _arrow(shown, pose, contact, 0.5 * arrows.apart_m, arrows)
-        lines = interval_m(
+        _, (point_m, force_n) = _arrow(shown, pose, contact, 0.5 * scale.apart_m, scale)
+        lines_m = interval_outline_m(
             point_m,
             links.axes[n, :, 0],
             force_n,
             contact.angle_deg,
             snapshot.bounds,
             CLEARANCE * float(shown.surface_m[n]),
-            arrows,
+            scale,
         )
-        for line in lines:
+        for line_m in lines_m:
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-            _connect(scene, capsule, _OUTLINE_RADIUS * size_m, line, ESTIMATE_RGB)
+            _connect(scene, capsule, 0.5 * FORCE_OUTLINE_WIDTH * size_m, line_m, ESTIMATE_RGB)
 
 
 def _arrow(
-    shown: ShownMachine, pose: _Pose, contact: Contact, aside_m: float, arrows: Arrows
+    shown: ShownMachine, pose: _Pose, contact: Contact, aside_m: float, scale: ArrowScale
 ) -> tuple[Array, tuple[Array, Array]]:
     """Tail and tip (2, 3) of a contact's arrow; and its point and its force (3,)."""
     n = contact.segment - 1
@@ -215,7 +212,7 @@ def _arrow(
     point_m = links.origin_m[n] + (contact.contact_m + aside_m) * links.axes[n, :, 0]
     force_n = pose.frame_axes[n] @ np.array(contact.wrench[:3])
     clearance_m = CLEARANCE * float(shown.surface_m[n])
-    return arrow_m(point_m, force_n, clearance_m, arrows), (point_m, force_n)
+    return arrow_m(point_m, force_n, clearance_m, scale), (point_m, force_n)
 
 
 def _add_cables(
@@ -226,7 +223,7 @@ def _add_cables(
         return
     scale_n = full_scale_n(float(snapshot.readings.max()), shown.panels[0].least)
     colours = piece_rgb(snapshot.readings, channel, scale_n)
-    radius_m = _CABLE_RADIUS * shown.extent.size_m
+    radius_m = 0.5 * CABLE_WIDTH * shown.extent.size_m
     for ends, (red, green, blue) in zip(drawn.piece_m, colours.tolist(), strict=True):
         if np.linalg.norm(ends[1] - ends[0]) > 0.0:
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE

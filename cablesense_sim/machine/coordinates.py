@@ -54,7 +54,7 @@ class Coordinates:
         return qpos
 
     def slope(self, qpos: Array) -> Array:
-        """(nq, n) ∂q/∂r at positions (nq,)."""
+        """(nq, n) ∂q/∂r: of all joints' positions by the coordinates, at positions (nq,)."""
         slope = np.zeros((len(qpos), len(self)))
         slope[self.joints, np.arange(len(self))] = 1.0
         for tie in self.ties:
@@ -69,7 +69,8 @@ def coordinates_of(
     """The coordinates of a model whose locked joints are where the reference (nq,) has them.
 
     Raises:
-        MachineError: a locked joint is not there, or joints follow each other in a circle.
+        MachineError: a locked joint is not there, or two equalities tie one
+            joint, or joints follow each other in a circle.
     """
     names = [model.joint(j).name for j in range(model.njnt)]
     unknown = [name for name in locked if name not in names]
@@ -78,7 +79,7 @@ def coordinates_of(
             f"{source}: locked names joint {some_of(unknown)}, which the model does not have; it "
             f"has {some_of(names)}"
         )
-    ties = _leaders_first(joint_ties(model), names, source)
+    ties = _leaders_first(joint_ties(model, source, MachineError), names, source)
     following = {tie.joint for tie in ties}
     joints = [j for j in range(model.njnt) if j not in following and names[j] not in locked]
     if not joints:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cablesense_base import Array, some_of
 from cablesense_sim.machine.description import MachineError
-from cablesense_sim.mujoco_file import compiled, read_spec
+from cablesense_sim.mujoco_file import compiled, joint_ties, read_spec
 
 _NOISE_SHARE = 1e-3
 """Noise of a sensor, as a share of the largest force that its actuator gives."""
@@ -28,7 +28,8 @@ def guessed_machine_file(path: Path) -> str:
     """The text of a machine file for an MJCF or a URDF.
 
     Raises:
-        MachineError: the model cannot be read, or has neither tendons nor driven joints to read.
+        MachineError: the model cannot be read, or has neither tendons nor driven joints to
+            read, or two equalities tie one joint.
     """
     model = compiled(read_spec(path, MachineError), path, MachineError)
     drawn = _driven(model, mujoco.mjtTrn.mjTRN_TENDON)
@@ -49,8 +50,7 @@ def guessed_machine_file(path: Path) -> str:
     ]
     if tendons:
         are_held = all(_is_held(model, drawn.get(t)) for t in tendons)
-        is_tie = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
-        coordinate_count = model.njnt - int(is_tie.sum())
+        coordinate_count = model.njnt - len(joint_ties(model, path, MachineError))
         by_servos = len(drawn) == len(tendons) < coordinate_count
         lines += _joints_line(are_held, by_servos=by_servos)
         lines += ["sensors:", "  tension:"]

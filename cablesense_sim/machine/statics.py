@@ -27,8 +27,7 @@ from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.machine import Indices, Machine
 
 _STEP = 1e-6
-"""Of a coordinate, rad or m, by which derivatives are taken: a force differs in its tenth "
-"digit."""
+"""Of a coordinate, rad or m, by which derivatives are taken: forces differ in the tenth digit."""
 _REST = 1e-9
 """A machine is at rest where the step that is left is shorter, rad or m."""
 _MOST_STEPS = 100
@@ -138,7 +137,8 @@ class MachineStatics:
         self._data = mujoco.MjData(self.model)
         self._coordinates = machine.coordinates
         self._tied = bool(machine.coordinates.ties)
-        self._slope = np.zeros((self.model.nv, len(machine.coordinates)))
+        # ∂q/∂r where joints follow others, at the pose that was asked for last
+        self._joints_by_coordinate = np.zeros((self.model.nv, len(machine.coordinates)))
         self._columns = machine.coordinates.joints
         self._are_all_joints = np.array_equal(self._columns, np.arange(self.model.nv))
         self._tendon_ids = machine.tendons.ids
@@ -156,7 +156,7 @@ class MachineStatics:
         model = self.model
         data.qpos[:] = self._coordinates.positions(pose)
         if self._tied:
-            self._slope = self._coordinates.slope(data.qpos)
+            self._joints_by_coordinate = self._coordinates.slope(data.qpos)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
@@ -199,12 +199,12 @@ class MachineStatics:
         return self.load_slope(pose, tensions_n) + elastic
 
     def elastic_slope(self, moment: Array, tensions_n: Array) -> Array:
-        """(n, n) -J' K J of the tendons that are taut, with moments (K, n)."""
+        """(n, n) the part -J' K J of ∂F/∂r, of the tendons that are taut, with moments (K, n)."""
         stiffness = self.stiffness_n_m * (tensions_n > 0.0)
         return np.asarray((self._pull(moment).T * -stiffness) @ moment)
 
     def load_slope(self, pose: Array, tensions_n: Array) -> Array:
-        """(n, n) derivative by the pose of the forces at constant tensions (K,)."""
+        """(n, n) the part of ∂F/∂r at constant tensions (K,), at a pose (n,)."""
         return self._slope_at(pose, tensions_n, ())
 
     def links(self) -> LinkFrames:
@@ -257,9 +257,10 @@ class MachineStatics:
         mujoco.mj_crb(model, data)
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, inertia)
-        slope = self._coordinates.slope(data.qpos)
-        swing = SUDDEN_OVER_STEADY * (slope.T @ inertia @ slope) * acceleration
-        damping = (slope.T * model.dof_damping) @ slope @ speed
+        by_coordinate = self._coordinates.slope(data.qpos)
+        of_inertia = by_coordinate.T @ inertia @ by_coordinate
+        swing = SUDDEN_OVER_STEADY * of_inertia * acceleration
+        damping = (by_coordinate.T * model.dof_damping) @ by_coordinate @ speed
         return np.asarray(swing @ swing.T + np.diag(damping**2))
 
     def rest(
@@ -336,7 +337,7 @@ class MachineStatics:
         return np.asarray(np.linalg.inv(stiffness + added * identity))
 
     def _slope_at(self, pose: Array, tensions_n: Array, acting: Sequence[_Acting]) -> Array:
-        """(n, n) derivative of all forces by the pose (n,) at constant tensions (K,)."""
+        """(n, n) ∂/∂r of F and of what acts, at a pose (n,) and constant tensions (K,)."""
         count = len(pose)
         along = np.empty((count + 1, count))
         for j in range(count + 1):
@@ -375,7 +376,7 @@ class MachineStatics:
     def _reduced(self, generalised: Array) -> Array:
         """Forces (..., nv) on all joints as forces (..., n) of the coordinates."""
         if self._tied:
-            return np.asarray(generalised @ self._slope)
+            return np.asarray(generalised @ self._joints_by_coordinate)
         if self._are_all_joints:
             return generalised
         return np.asarray(generalised[..., self._columns])

@@ -214,6 +214,11 @@ class TendonPaths:
 
         The arc before a geom's mark is that of the piece before. Where a tendon does not touch a
         geom, what one of its pieces has up to the mark the other has less.
+
+        For example, a tendon touches a roller of 10 mm for 1.6 rad, an arc of 16 mm. With the mark
+        half way, each of the two pieces has 8 mm of it. As the roller turns by 0.1 rad with the
+        tendon, the mark goes on by 1 mm: the piece before has 9 mm, the one behind 7 mm, and no
+        cable has slid over the roller.
         """
         arcs_m = np.zeros((before.shape[0], before.shape[1] - 1))
         turns_rad = np.zeros((before.shape[0], before.shape[1] - 2))

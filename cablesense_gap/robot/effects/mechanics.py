@@ -12,10 +12,10 @@ from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.robot.motion import Scale, rms
 
 
-class Backlash(RobotEffect):
-    """A gap between drive and joint: the joint is driven at either end of it, and free between.
+class Play(RobotEffect):
+    """Play between drive and joint: the joint is driven at either end of it, and free between.
 
-    Positions are taken to be the drive's. The joint's place in the gap follows from the torque
+    Positions are taken to be the drive's. The joint's place in the play follows from the torque
     that its link needs.
     """
 
@@ -26,7 +26,7 @@ class Backlash(RobotEffect):
     advice = "Hold the drive and move the joint by hand: gears, couplings, belts that are slack."
     in_model = False
     numbers = (
-        size("play_rad", "{position}", 0.3, 0.01, "from one side of the gap to the other", 0.0),
+        size("play_rad", "{position}", 0.3, 0.01, "from one end of the play to the other", 0.0),
     )
 
 

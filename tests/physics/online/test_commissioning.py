@@ -203,7 +203,7 @@ def test_a_built_arm_is_known_after_its_commissioning(lab, built):
     np.testing.assert_array_equal(bench.commands[-1], np.zeros(8))
     assert done.calibration.made_from == "a commissioning in 25 poses"
     assert done.calibration.as_described
-    assert done.calibration.changed_ns > 0
+    assert done.calibration.last_unloaded_ns > 0
     # readings in another pose are now predicted
     elsewhere = np.deg2rad(np.random.default_rng(3).uniform(-9.0, 9.0, (5, 8)))
     true_n = built.rests(elsewhere, [()] * 5).tensions_n * built.gains + built.zeros_n

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from cablesense_base.installation import config_path
-from cablesense_gap.robot.efforts import effort_readings
+from cablesense_gap.robot.efforts import effort_interpretations
 from cablesense_gap.robot.model import gravity_torque, inverse_dynamics, load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_robot_recording
@@ -42,8 +42,8 @@ def recording_of(noise_n_m=0.01, **planted):
     return RobotRecording("made", time_s, trial, position, torque, np.nan * torque)
 
 
-def readings(recording, robot):
-    return effort_readings(robot, prepared(recording, robot))
+def interpretations(recording, robot):
+    return effort_interpretations(robot, prepared(recording, robot))
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,9 @@ def readings(recording, robot):
 )
 def test_torque_in_another_unit_is_told_by_its_name(robot, planted, factors, said):
     recording = recording_of(**planted)
-    (suspect,) = readings(replace(recording, torque=recording.torque * factors), robot).suspect
+    (suspect,) = interpretations(
+        replace(recording, torque=recording.torque * factors), robot
+    ).suspect
     assert suspect.startswith(said)
 
 
@@ -89,7 +91,7 @@ def test_torque_without_gravity_is_told_before_any_fit(robot):
 def test_positions_and_times_in_another_unit_are_told_by_their_name(robot, change, said):
     recording = recording_of(friction=(0.1, 0.08))
     changed = {name: getattr(recording, name) * factor for name, factor in change.items()}
-    (suspect,) = readings(replace(recording, **changed), robot).suspect
+    (suspect,) = interpretations(replace(recording, **changed), robot).suspect
     assert suspect.startswith(said)
 
 
@@ -107,13 +109,13 @@ def test_positions_and_times_in_another_unit_are_told_by_their_name(robot, chang
     ],
 )
 def test_effects_of_any_size_and_noise_are_no_other_unit(robot, planted):
-    assert not readings(recording_of(**planted), robot).suspect
+    assert not interpretations(recording_of(**planted), robot).suspect
 
 
 @pytest.mark.parametrize("factors", [(0.05, 0.05), (20.0, 40.0)])
 def test_a_gain_of_no_known_unit_is_a_doubt_that_names_the_remedy(robot, factors):
     recording = recording_of(friction=(0.1, 0.08))
-    said = readings(replace(recording, torque=recording.torque * factors), robot)
+    said = interpretations(replace(recording, torque=recording.torque * factors), robot)
     assert not said.suspect
     assert len(said.doubts) == 2
     assert "if it is a current, state --effort shoulder=current" in said.doubts[0]
@@ -183,13 +185,13 @@ def test_gravity_is_added_where_a_column_or_an_option_says_that_it_lacks(tmp_pat
     for recording in (by_column, by_option):
         np.testing.assert_allclose(recording.torque, whole.torque, atol=1e-4)
         assert any("the model's is added" in note for note in recording.notes)
-        assert not effort_readings(robot, prepared(recording, robot)).suspect
+        assert not effort_interpretations(robot, prepared(recording, robot)).suspect
 
 
 def test_a_stated_torque_is_not_doubted(robot):
     recording = recording_of(friction=(0.1, 0.08))
     doubted = replace(recording, torque=recording.torque * 1e3)
-    said = effort_readings(robot, prepared(doubted, robot), (True, True))
+    said = effort_interpretations(robot, prepared(doubted, robot), (True, True))
     assert not said.suspect
     assert not said.doubts
 
@@ -269,7 +271,7 @@ def six_joints():
 def test_six_joints_of_which_one_feels_no_gravity(six_joints, change, said):
     six, recording = six_joints
     changed = change(recording, gravity_torque(six.model, recording.position))
-    suspect = readings(changed, six).suspect
+    suspect = interpretations(changed, six).suspect
     if said is None:
         assert not suspect
     else:

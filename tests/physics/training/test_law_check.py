@@ -1,5 +1,7 @@
 """A law is compared with the statics of its arm before it becomes a model file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.law import evaluate_exact, law_protocol
 from cablesense_training.evaluation.touches import drawn_touches, settled_readings_n
 from cablesense_training.law.build import TorchLaw
-from cablesense_training.law_check import MOST_OVER_BOUND, check_law, require_sound
+from cablesense_training.law_check import MOST_OVER_BOUND, LawCheck, check_law, require_sound
 from cablesense_training.law_export import export_law
 from tests.helpers.arm_variants import SOFT_CABLES, variant
 
@@ -41,6 +43,26 @@ def test_a_law_without_the_spring_of_its_arm_is_refused():
     assert check.misfit > MOST_OVER_BOUND
     with pytest.raises(TrainingError, match=r"does not hold on the arm's own statics.* times the"):
         require_sound(rigid, arm)
+
+
+def test_figures_that_nothing_states_are_not_judged_but_one_of_them_must_be():
+    nan = float("nan")
+    whole = LawCheck(
+        samples=500,
+        misfit=1.0,
+        moment=1.0,
+        place=nan,
+        force=nan,
+        answered=0.9,
+        false_contacts=0.0,
+        slack=0.0,
+        pose_range_deg=20.0,
+        force_range_n=50.0,
+    )
+    assert whole.fault == ""
+    assert whole.worst == 1.0
+    assert "none of its errors can be judged" in replace(whole, moment=nan).fault
+    assert "errors of the place are 2 times" in replace(whole, place=2.0).fault
 
 
 THIN_WITH_SLACK_CABLES = """

@@ -1,7 +1,7 @@
 """Arms of several kinds over the real middleware: with effects, with friction, and two at once.
 
 How right a history-dependent estimator is in motion is judged in simulated time:
-tests/online/test_estimation.py.
+tests/physics/online/test_estimation.py.
 """
 
 import numpy as np

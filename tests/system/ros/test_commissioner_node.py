@@ -70,7 +70,7 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
     assert described(content, "calibration") == arm
     assert len(calibration.unloaded) == 4
     assert calibration.as_described
-    assert calibration.changed_ns > 1.7e18  # of this century
+    assert calibration.last_unloaded_ns > 1.7e18  # of this century
     np.testing.assert_array_equal(read_calibration(file, FeltArm(arm)).mean, calibration.mean)
 
 

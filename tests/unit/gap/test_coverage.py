@@ -29,7 +29,7 @@ def test_a_channel_lacks_what_leaves_the_reference_s_range_where_it_is_not_cover
     covered = np.ones(COURSE.shape, dtype=bool)
     covered[:80, 0] = False
     found = coverage(covered, position=COURSE + ELSEWHERE)
-    assert list(found.lacking) == ["shoulder"]
+    assert list(found.uncovered_channels) == ["shoulder"]
     assert found.by_channel["shoulder"].share == 0.2
     assert found.by_channel["elbow"].share == 1.0
     (position,) = found.by_channel["shoulder"].lacking
@@ -45,7 +45,7 @@ def test_readings_that_do_not_count_are_not_lacking():
     rests = np.ones(COURSE.shape)
     rests[:80, 0] = 0.0
     found = coverage(covered, rests, position=COURSE + 5.0)
-    assert not found.lacking
+    assert not found.uncovered_channels
     assert found.share == 1.0
 
 

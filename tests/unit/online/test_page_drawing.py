@@ -11,18 +11,19 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from cablesense_contact.felt_arm import FeltArm
-from cablesense_online.page.arrows import Arrows, arrow_m, place_m, pulled_contact
+from cablesense_online.page.arrows import ArrowScale, arrow_m, place_m, pulled_contact
 from cablesense_online.page.figures import covered_m, html, interval_text, known_text, places_text
 from cablesense_online.page.headline import Words
+from cablesense_online.page.marks import interval_outline_m, place_band
 from cablesense_online.page.shown_arm import ShownArm, cable_pieces
-from cablesense_online.page.snapshot import PlaceInterval
+from cablesense_online.page.snapshot import ForceBounds, PlaceInterval
 from cablesense_online.page.traces import TraceBuffer, reading_lines
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
 
 CONTACT = np.array([0.3, 0.01, -0.02])
-ARROWS = Arrows(size_m=0.5, strongest_n=200.0)
+SCALE = ArrowScale(size_m=0.5, strongest_n=200.0)
 
 
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_table2"])
@@ -51,7 +52,7 @@ forces = arrays(float, 3, elements=st.floats(-300.0, 300.0)).filter(
 
 @given(force=forces)
 def test_an_arrow_pushes_towards_the_contact_and_is_as_long_as_its_force(force):
-    tail, tip = arrow_m(CONTACT, force, 0.02, ARROWS)
+    tail, tip = arrow_m(CONTACT, force, 0.02, SCALE)
     newtons = np.linalg.norm(force)
     length = np.linalg.norm(tip - tail)
     np.testing.assert_allclose((tip - tail) / length, force / newtons, atol=1e-9)
@@ -59,8 +60,54 @@ def test_an_arrow_pushes_towards_the_contact_and_is_as_long_as_its_force(force):
     if 30.0 < newtons < 200.0:
         assert length == pytest.approx(0.75 * newtons / 200.0 * 0.5)
     assert 0.05 - 1e-12 <= length <= 0.425 + 1e-12
-    small = np.diff(arrow_m(CONTACT, force / 40.0, 0.0, Arrows(0.1, 5.0)), axis=0)
+    small = np.diff(arrow_m(CONTACT, force / 40.0, 0.0, ArrowScale(0.1, 5.0)), axis=0)
     assert np.linalg.norm(small) == pytest.approx(length / 5.0)
+
+
+@given(
+    force=forces.filter(lambda force: np.linalg.norm(force[1:]) > 1e-3),
+    low_n=st.floats(0.0, 250.0),
+    wider_n=st.floats(0.0, 250.0),
+    first_deg=st.floats(0.0, 360.0, exclude_max=True),
+    wide_deg=st.floats(0.0, 359.0),
+)
+def test_the_outline_of_an_interval_is_where_its_arrows_may_begin(
+    force, low_n, wider_n, first_deg, wide_deg
+):
+    """Contact angles grow from +z to +y: a force at the angle a is (0, sin a, cos a)."""
+    axis = np.array([1.0, 0.0, 0.0])
+    angle_deg = float(np.rad2deg(np.arctan2(force[1], force[2])))
+    high_n = low_n + wider_n
+    bounds = ForceBounds(low_n, high_n, (first_deg, (first_deg + wide_deg) % 360.0))
+    lines_m = interval_outline_m(CONTACT, axis, force, angle_deg, bounds, 0.02, SCALE)
+    np.testing.assert_allclose(lines_m[1:, 0], lines_m[:-1, 1])
+    np.testing.assert_allclose(lines_m[-1, 1], lines_m[0, 0])
+    away_m = lines_m[:, 0] - CONTACT
+    np.testing.assert_allclose(away_m @ axis, 0.0, atol=1e-12)
+    near_m, far_m = (0.02 + SCALE.length_m(end_n) for end_n in (low_n, high_n))
+    half = len(lines_m) // 2
+    np.testing.assert_allclose(np.linalg.norm(away_m[:half], axis=1), near_m)
+    np.testing.assert_allclose(np.linalg.norm(away_m[half : 2 * half], axis=1), far_m)
+    turned_deg = first_deg + np.linspace(0.0, wide_deg, half)
+    turn = np.deg2rad(turned_deg)
+    rays = np.column_stack([0.0 * turn, np.sin(turn), np.cos(turn)])
+    np.testing.assert_allclose(away_m[:half], -near_m * rays, atol=1e-9)
+
+
+def test_an_outline_of_any_angle_is_a_ring():
+    force = np.array([0.0, 0.0, 30.0])
+    bounds = ForceBounds(20.0, 40.0)
+    lines_m = interval_outline_m(CONTACT, np.eye(3)[0], force, 0.0, bounds, 0.02, SCALE)
+    first_m, last_m = lines_m[0, 0], lines_m[len(lines_m) // 2 - 1, 0]
+    np.testing.assert_allclose(first_m, last_m, atol=1e-12)
+
+
+def test_a_place_that_is_known_well_still_has_a_band_that_can_be_seen():
+    band = place_band(PlaceInterval(2, 0.05, 0.08), 0.5)
+    assert (band.middle_m, band.length_m) == pytest.approx((0.065, 0.03))
+    thin = place_band(PlaceInterval(2, 0.05, 0.05), 0.5)
+    assert thin.middle_m == 0.05
+    assert 0.001 < thin.length_m < 0.01
 
 
 @given(
@@ -82,13 +129,13 @@ def test_a_drag_pulls_where_the_segment_is_held_by_the_force_of_as_long_an_arrow
     axis = as_measured[:, 0]
     held_m = CONTACT + along_m * axis + 0.02 * as_measured[:, 2]  # on the surface
     ends_m = np.stack([held_m, held_m + pull_m])
-    contact = pulled_contact(2, CONTACT, axis, at_command, ends_m, ARROWS)
+    contact = pulled_contact(2, CONTACT, axis, at_command, ends_m, SCALE)
     assert contact.segment == 2
     assert contact.contact_m == pytest.approx(along_m)
     force_n = at_command @ contact.wrench[:3]
     np.testing.assert_allclose(force_n, 200.0 / 0.375 * pull_m, atol=1e-9)
     if 0.1 < np.linalg.norm(pull_m) < 0.4:
-        assert ARROWS.length_m(np.linalg.norm(force_n)) == pytest.approx(np.linalg.norm(pull_m))
+        assert SCALE.length_m(np.linalg.norm(force_n)) == pytest.approx(np.linalg.norm(pull_m))
 
 
 @pytest.mark.parametrize(

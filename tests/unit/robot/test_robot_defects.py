@@ -92,9 +92,9 @@ DEFECTS = {
         "time_s",
         None,
     ),
-    "paused for a quarter of a second": (later(0.25), None, "leaps over 0.26 s before row 621"),
-    "paused for a minute": (later(60.0), None, "leaps over 60 s before row 621"),
-    "clock set by years": (later(1.7e9), None, r"leaps over 1\.7e\+09 s before row 621"),
+    "paused for a quarter of a second": (later(0.25), None, "a break of 0.26 s before row 621"),
+    "paused for a minute": (later(60.0), None, "a break of 60 s before row 621"),
+    "clock set by years": (later(1.7e9), None, r"a break of 1\.7e\+09 s before row 621"),
     "time in bursts": (
         lambda t: t.assign(
             time_s=0.1 * (np.arange(len(t)) // 10) + 1e-6 * (np.arange(len(t)) % 10)
@@ -208,7 +208,7 @@ def test_a_defect_is_named_and_a_leap_of_time_takes_no_memory(
             read_robot_recording(path, robot)
         assert "\n" not in str(said.value)
         return
-    with traced(wanted="leaps over" in noted) as peak_bytes:
+    with traced(wanted="a break of" in noted) as peak_bytes:
         recording = read_robot_recording(path, robot)
         motion = prepared(recording, robot)
     said = (*recording.notes, *recording.warnings)
@@ -218,7 +218,7 @@ def test_a_defect_is_named_and_a_leap_of_time_takes_no_memory(
 
 
 @pytest.mark.parametrize("seconds", [0.25, 7.0, 1.7e9])
-def test_nothing_is_interpolated_where_time_leaps(tmp_path, table, robot, seconds):
+def test_nothing_is_interpolated_at_a_break(tmp_path, table, robot, seconds):
     whole = read_robot_recording(as_csv(tmp_path / "whole", table), robot)
     leapt = read_robot_recording(as_csv(tmp_path / "leapt", later(seconds)(table)), robot)
     assert len(leapt) == len(whole)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.protocol import next_experiment, standard_protocol
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.simulator import Term
@@ -105,6 +105,13 @@ def test_an_equality_that_is_not_active_ties_nothing(tmp_path):
     assert active.geared[1, 0] == 1.0
     assert not inactive.geared.any()
     assert not inactive.left_out
+
+
+def test_two_equalities_of_one_joint_are_refused(tmp_path):
+    ties = "<joint joint1='c' joint2='b'/><joint joint1='c' joint2='a'{}/>"
+    with pytest.raises(RobotError, match=r"fingers\.xml: two equalities tie joint c; leave one"):
+        fingers(tmp_path, ties.format(""))
+    assert fingers(tmp_path, ties.format(" active='false'")).geared[2].tolist() == [0.0, 1.0, 0.0]
 
 
 def test_a_joint_that_mimics_another_in_a_urdf_follows_it(tmp_path):

@@ -126,6 +126,11 @@ def test_a_file_that_does_not_fit_is_refused(
             '<joint joint1="following" joint2="hinge"/><joint joint1="hinge" joint2="following"/>',
             "in a circle",
         ),
+        (
+            '<joint joint1="following" joint2="hinge"/>',
+            '<joint joint1="following" joint2="hinge"/><joint joint1="following"/>',
+            "two equalities tie joint following; leave one of them in the model",
+        ),
         ("<mujoco>", "<mujoco", "MuJoCo cannot read"),
     ],
 )
