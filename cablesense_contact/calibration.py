@@ -119,11 +119,6 @@ class Calibration:
         return max((one.taken_ns for one in self.unloaded), default=0)
 
     @property
-    def changed_ns(self) -> int:
-        """`last_unloaded_ns`, by its earlier name."""
-        return self.last_unloaded_ns
-
-    @property
     def std(self) -> Array:
         """(P,) deviations."""
         return np.sqrt(np.diagonal(self.covariance))

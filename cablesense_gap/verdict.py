@@ -343,11 +343,6 @@ class ReferenceGap(FilePart):
         """The channels that are mostly not covered, by name."""
         return {name: each for name, each in self.coverage.items() if not each.is_mostly_covered}
 
-    @property
-    def lacking(self) -> dict[str, ChannelCoverage]:
-        """`uncovered_channels`, by its earlier name."""
-        return self.uncovered_channels
-
 
 class Verdict(FilePart):
     """The cause of the gap, its place, its probability, and how far the gap shrinks.

@@ -65,7 +65,7 @@ def headline(verdict: Verdict) -> str:
         )
     if verdict.effects == (CANNOT_TELL,):
         return (
-            f"Cannot tell whether anything changed{since}, which covers {_lacking(verdict)}: "
+            f"Cannot tell whether anything changed{since}, which covers {_uncovered(verdict)}: "
             "record this motion when healthy."
         )
     if verdict.effects == (UNKNOWN,):
@@ -146,15 +146,15 @@ def _kept(verdict: Verdict, names: tuple[str, ...]) -> str:
     return f"{listed(plain)} keep {listed(sizes)}, {kept} of their gaps"
 
 
-def _lacking(verdict: Verdict) -> str:
+def _uncovered(verdict: Verdict) -> str:
     """`7 % of shoulder and 12 % of elbow`: the channels that are mostly not covered."""
     assert verdict.reference is not None
-    lacking = verdict.reference.lacking
-    if len(lacking) > _MOST_CHANNELS:
-        most = max(each.share for each in lacking.values())
-        return f"at most {percent(most)} of {len(lacking)} channels"
+    uncovered = verdict.reference.uncovered_channels
+    if len(uncovered) > _MOST_CHANNELS:
+        most = max(each.share for each in uncovered.values())
+        return f"at most {percent(most)} of {len(uncovered)} channels"
     return listed(
-        [f"{percent(each.share)} of {_channel(verdict, name)}" for name, each in lacking.items()]
+        [f"{percent(each.share)} of {_channel(verdict, name)}" for name, each in uncovered.items()]
     )
 
 

@@ -191,7 +191,7 @@ def calibration_description(
     from cablesense_contact.calibration_summary import summarised
 
     unloaded = calibration.unloaded
-    taken_ns = calibration.changed_ns
+    taken_ns = calibration.last_unloaded_ns
     taken = (
         datetime.fromtimestamp(taken_ns / 1e9, UTC).replace(microsecond=0) if taken_ns else None
     )
