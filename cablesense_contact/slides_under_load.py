@@ -1,12 +1,14 @@
 """How slides change while a load acts on the arm, as its readings tell.
 
 The actuators stand still: a reading that rises shows that cable slides over the pulley towards the
-arm. How the joints give way follows from how much longer all cables have got, by least squares.
-What has then passed a guide, one after the other, is what the pieces before it stretch and their
-spans do not take up.
+arm. How the joints give way follows from how much longer all cables have got, by least squares,
+with a covariance. What has then passed a guide, one after the other, is what the pieces before it
+stretch and their spans do not take up; how surely, and so in which direction its cable slid,
+follows from that covariance and from what is known of the tensions behind the pulleys.
 
-The deviations here have no derivation. They were chosen on arms of the plant with friction of 0.02
-to 0.15, of other seeds than those of any published figure.
+What a cable has slid there and back on the way shows in no reading. The shares and deviations that
+stand for it have no derivation: they were chosen on arms of the plant with friction of 0.02 to
+0.15, of other seeds than those of any published figure.
 """
 
 from __future__ import annotations
@@ -39,9 +41,6 @@ _STANDS_SHARE = 0.2
 """As long as the mean has changed by less than this share of it, one deviation, slides stay."""
 _LEAST_FRICTION = 1e-4
 """In place of a coefficient whose mean is zero or less: something is divided by it."""
-_GUIDE_SHARE = 0.5
-"""Way over which a cable turns at a guide by that over which it would if nothing else held it:
-what passes is known about so well only, as what the first guides carry is not known better."""
 _LEAST_INFORMATION_SHARE = 1e-9
 _LEAST_INFORMATION_M2 = 1e-12
 """Added to the information of how joints give way, as a share of all of it and at the least, so
@@ -61,7 +60,7 @@ class SlidesAtPose:
         self._pieces_m_n = routes.compliance_m_n[:, 1:]
         self._behind_m_n = self._pieces_m_n.sum(axis=1)
         self._first_wrap_rad = routes.wrap_rad[:, 0]
-        self._guides_turn_m = _GUIDE_SHARE * turning_m[:, 1:].T
+        self._guides_turn_m = turning_m[:, 1:].T
 
     def changed(
         self,
