@@ -23,7 +23,6 @@ Navigation Problems, 1966: parameters that are considered, not estimated).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -92,14 +91,12 @@ class PoseFit(nn.Module):
 
     Args:
         cables: the geometry of the arm.
-        taut_above_n: tension above which a cable is taut for certain.
         steps: Gauss-Newton steps.
     """
 
-    def __init__(self, cables: CableGeometry, taut_above_n: float, steps: int) -> None:
+    def __init__(self, cables: CableGeometry, steps: int) -> None:
         super().__init__()
         self.cables = cables
-        self.taut_above_n = taut_above_n
         self.steps = steps
         self.zero = constant(np.array(0.0))
         self.one = constant(np.array(1.0))
@@ -111,14 +108,16 @@ class PoseFit(nn.Module):
         start_rad: Tensor,
         start: Tensor,
         tension_n: Tensor,
+        taut_above_n: Tensor,
         unstretched_m: Tensor,
         given: Parameters,
     ) -> Tensor:
         """The angles, from `start_rad` (B, 1, 2N) on, where the geometry's terms are `start`.
 
-        The Jacobian is that of the start: each step is a part of the first, a few hundredths.
+        Above `taut_above_n` (M,) cables are taut for certain. The Jacobian is that of the start:
+        each step is a part of the first, a few hundredths.
         """
-        taut = tension_n > self.taut_above_n
+        taut = tension_n > taut_above_n
         wanted = unstretched_m + torch.where(taut, tension_n, self.zero) * given.compliance_m_n
         # a slack cable may hang as loosely as the pose leaves it
         loose = torch.where(taut, self.far_m, self.zero)
@@ -166,9 +165,9 @@ class MeasurementModel(nn.Module):
         self.friction = GuideFriction(mechanism, friction)
         self.weight = SegmentWeight(mechanism)
         self.slopes = ParameterSlopes(mechanism.segment_count, mechanism.cable_count, parameters)
-        zero_n = float(parameters.prior_std[parameters.slices["sensor_zero"]].max())
-        taut_above_n = _TAUT_ABOVE_STD * math.hypot(reading_variance_n2**0.5, zero_n)
-        self.pose = PoseFit(self.cables, taut_above_n, pose_steps)
+        self.zeros = parameters.slices["sensor_zero"]
+        self.sensor_variance_n2 = reading_variance_n2
+        self.pose = PoseFit(self.cables, pose_steps)
 
         springs_n_m_rad = np.repeat(mechanism.joint_stiffness_n_m_rad, 2)
         self.spring_n_m_rad = constant(springs_n_m_rad)
@@ -192,7 +191,7 @@ class MeasurementModel(nn.Module):
         """The measurement; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         given = self.numbers(mean)
         reading = reading_n[:, None]
-        state = self._state(reading, command_rad, given)
+        state = self._state(reading, command_rad, given, self._taut_above_n(covariance))
         by_torque = self._by_torque(state, given)
         by_parameter = self.slopes(given, state, by_torque)
         spread = by_parameter @ covariance @ by_parameter.transpose(1, 2)
@@ -215,7 +214,14 @@ class MeasurementModel(nn.Module):
             pose_rad=state.pose_rad,
         )
 
-    def _state(self, reading: Tensor, command_rad: Tensor, given: Parameters) -> State:
+    def _taut_above_n(self, covariance: Tensor) -> Tensor:
+        """(M,) tensions above which cables are taut for certain, as well as zeros are known."""
+        of_zeros = covariance[self.zeros, self.zeros] * self.cable_identity
+        return _TAUT_ABOVE_STD * torch.sqrt(self.sensor_variance_n2 + of_zeros.sum(0))
+
+    def _state(
+        self, reading: Tensor, command_rad: Tensor, given: Parameters, taut_above_n: Tensor
+    ) -> State:
         """The state that readings (B, 1, M) show at commands (B, 2N)."""
         start_rad = (command_rad + given.joint_zero_rad)[:, None]
         start = self.cables.terms(start_rad)
@@ -225,7 +231,7 @@ class MeasurementModel(nn.Module):
         unstretched = held + (straight - self.held_straight_m - given_m)
 
         read_n = (reading - given.zero_n) / given.gain
-        angles = self.pose(start_rad, start, read_n, unstretched, given)
+        angles = self.pose(start_rad, start, read_n, taut_above_n, unstretched, given)
         at_pose = self.cables.terms(angles)
         spans = self.cables(at_pose, given.holes)
         carried = self.friction(spans, given)

@@ -66,6 +66,25 @@ def test_so_do_readings_some_of_which_are_zero_as_their_cables_are_slack(lab):
     assert 1 <= max(slack) <= 4
 
 
+def test_a_cable_that_reads_little_counts_once_its_zero_is_known():
+    """Of stiff cables one that has a newton left is as taut as any other, whatever the noise."""
+    law = LawArm(open_arm("cdsm"))
+    rng = np.random.default_rng(7)
+    nothing = np.zeros(len(law.parameters))
+    command = np.zeros(law.mechanism.joint_count)
+    nearly_slack = []
+    for _ in range(600):
+        size_n = rng.uniform(30.0, 200.0)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across_n = (0.0, size_n * np.sin(angle), size_n * np.cos(angle))
+        reading_n = law.read(nothing, command, [Push(int(rng.integers(1, 4)), 0.065, across_n)])
+        if ((reading_n > 0.6) & (reading_n < 1.8)).any():
+            nearly_slack.append(reading_n + rng.normal(0.0, NOISE_STD_N, len(reading_n)))
+    assert len(nearly_slack) > 5
+    chi2 = law.answer(nearly_slack, np.tile(command, (len(nearly_slack), 1)), nothing).contact_chi2
+    assert chi2.max() < 40.0
+
+
 def numeric_derivative(law, theta, command, pushes, by_torque):
     """G (M, P) by central differences of the equilibrium, at the same torques of the pushes."""
     std = law.parameters.prior_std
