@@ -13,9 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base.installation import config_path
-from cablesense_contact.calibration import Calibrator, Unloaded
-from cablesense_contact.felt_arm import FeltArm
-from cablesense_contact.inference.law_model import LawModel
+from cablesense_online import KnownMachine
 from cablesense_sim import load_arm, normal_force_n, solve_equilibrium
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
@@ -33,10 +31,8 @@ def main(folder: Path = Path("out/own_arm")) -> None:
 
     model = folder / "my_arm.onnx"
     export_law(arm, model, "examples/own_arm.py")
-    law = LawModel(model, arm)
 
     # an arm as a workshop builds it
-    calibrator = Calibrator(FeltArm(arm), law)
     parameters = arm_parameters(arm)
     errors = parameters.drawn(np.random.default_rng(7))
     built = parameters.built(errors)
@@ -48,20 +44,16 @@ def main(folder: Path = Path("out/own_arm")) -> None:
         return parameters.read(errors, rest.tensions_n)
 
     straight = np.zeros(arm.joint_count)
-    known = calibrator.updated(calibrator.by_tolerances(), Unloaded(read(straight), straight, 50))
+    untouched_n = np.tile(read(straight), (50, 1))
+    known = KnownMachine.load(file, model).tared(untouched_n, straight)
 
     bent = np.deg2rad([5.0, -4.0, 6.0, 3.0, -5.0, 4.0, 2.0, -6.0])
     push_n = normal_force_n(nominal, bent, segment=3, angle_deg=120.0, magnitude_n=25.0)
-    known = calibrator.moved(known)
-    still = np.zeros((arm.joint_count, arm.joint_count))
-    posterior = law(read(bent, push_n)[None], bent[None], known.mean, known.covariance, still)
+    touch = known.touch(read(bent, push_n), bent)
 
-    segment = 1 + int(posterior.contact_evidence[0].argmax())
-    angle_deg = np.rad2deg(np.arctan2(*posterior.force_n[0, 1:])) % 360.0
-    low_n, high_n = posterior.magnitude_ci95_n[0]
-    size_n = np.hypot(*posterior.force_n[0, 1:])
-    print("true:      segment 3, 120.0°, 25.00 N")
-    print(f"estimated: segment {segment}, {angle_deg:.1f}°, {size_n:.2f} N")
+    low_n, high_n = touch.magnitude_ci95_n
+    print("true:      segment_3, 120.0°, 25.00 N")
+    print(f"estimated: {touch.link}, {touch.angle_deg:.1f}°, {touch.magnitude_n:.2f} N")
     print(f"with 95 %: {low_n:.2f} to {high_n:.2f} N")
 
 
