@@ -37,7 +37,7 @@ from cablesense_training.machine_export import export_machine
 
 FOLDER = Path(__file__).parents[1] / "config" / "machines"
 MACHINES = ("finger", "hand", "seven_hinges", "six_axis")
-"""A continuum robot is not among them: pressed, it gives way by centimetres and swings for long."""
+"""A continuum robot is not among them: pressed, it gives way by centimetres, and swings long."""
 LINKS = {
     "finger": ("distal", "fingertip"),
     "hand": ("index_middle", "index_distal", "ring_middle", "ring_distal", "thumb_middle"),
