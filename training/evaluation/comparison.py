@@ -27,6 +27,7 @@ from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import find_model
 from cablesense_contact.inference.single_contact import open_estimator
+from cablesense_contact.judgement import largest_chi2
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -46,7 +47,7 @@ from cablesense_training.evaluation.metrics import (
     plain_values,
     single_contact_metrics,
 )
-from cablesense_training.evaluation.points import point_answer
+from cablesense_training.evaluation.points import CONTACT_NUMBERS, point_answer
 
 SHIPPED = "shipped"
 """The model that CableSense uses in a setting, in reports."""
@@ -163,7 +164,8 @@ def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
 def evaluate_law(law: LawModel, dataset: Dataset) -> Evaluation:
     """Answers of a law on a dataset of contacts at the points of the arm file, and their errors.
 
-    It takes the arm for exactly that of its file, as the dataset has it.
+    It takes the arm for exactly that of its file, as the dataset has it: a reading that no contact
+    explains is answered with none.
     """
     answer = point_answer(
         law,
@@ -172,6 +174,7 @@ def evaluate_law(law: LawModel, dataset: Dataset) -> Evaluation:
         dataset.command_rad,
         mechanism_of(dataset.arm).contact_m,
         dataset.protocol.force_high_n,
+        largest_chi2(dataset.arm.cable_count - CONTACT_NUMBERS),
     )
     return evaluate_answer(answer, dataset)
 

@@ -13,17 +13,17 @@ Learning Algorithms, 2003, chapter 28).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration
-from cablesense_contact.judgement import largest_chi2
 from cablesense_contact.law import Law, LawOutput
 from cablesense_training.evaluation.metrics import ContactAnswer
 
-_CONTACT_NUMBERS = 2
+CONTACT_NUMBERS = 2
 """Numbers that a contact at a point fits."""
 _ROWS_AT_ONCE = 256
 """In one call of the law: they fit the memory of a laptop."""
@@ -72,11 +72,12 @@ def point_answer(
     commands_rad: Array,
     points_m: Array,
     largest_n: float,
+    most_chi2: float = math.inf,
 ) -> ContactAnswer:
     """The likeliest contact behind readings (B, M) at commands (B, 2N), or none.
 
-    A reading that no contact explains, as of a joint two of whose cables are slack, is answered
-    with none.
+    None also where it leaves a larger χ² than `most_chi2`, as where two cables of a joint are
+    slack on an arm that is exactly known.
     Contacts are at points (N,) from the joint centres, and as strong as `largest_n` at most. What
     is `known` of the arm is the same for all.
     """
@@ -90,7 +91,6 @@ def point_answer(
     samples = np.arange(len(contacts.force_n))
     best = contacts.log_evidence.argmax(axis=1)
     is_likely = contacts.log_evidence[samples, best] > 0.0
-    most_chi2 = largest_chi2(readings_n.shape[1] - _CONTACT_NUMBERS)
     is_explained = contacts.chi2[samples, best] <= most_chi2
     force = contacts.force_n[samples, best]
     covariance = contacts.covariance_n2[samples, best]
