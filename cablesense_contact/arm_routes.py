@@ -68,6 +68,17 @@ class ArmRoutes:
         slope[:, joints + 2, joints] = by_angle.reshape(-1, count, 2)
         return slope.reshape(mechanism.cable_count, count + 2, 2 * count)
 
+    def bends_rad(self, command: Array) -> Array:
+        """(M, N + 1) by which cables turn at the guides at a command (2N,).
+
+        On their way over a joint they turn by what it bends, half of it at the plates before and
+        half at those behind.
+        """
+        half_rad = 0.5 * kinematics.bend_rad(command) * self._mechanism.passes_joint
+        before_and_behind_rad = half_rad.copy()
+        before_and_behind_rad[:, 1:] += half_rad[:, :-1]
+        return np.concatenate([self.wrap_rad[:, :1], before_and_behind_rad], axis=1)
+
 
 def arm_slides(arm: Arm) -> CableSlides:
     """The slides of the cables of an arm."""

@@ -50,3 +50,7 @@ class CableRoutes(Protocol):
     def slope_m(self, command: Array) -> Array:
         """(M, G + 1, n) derivatives of the pieces' lengths by the coordinates at a command."""
         ...
+
+    def bends_rad(self, command: Array) -> Array:
+        """(M, G) by which cables turn at the guides at a command."""
+        ...

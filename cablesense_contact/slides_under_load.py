@@ -33,6 +33,9 @@ _FIRM_SHARE = 0.1
 _PASSED_SHARE = 0.12
 """How far off what has passed a guide may be, as a share of the most that has passed any: while
 much passes others, a cable may slide there and back."""
+_ASTRAY = 0.2
+"""Probability that what is computed of a guide behind the first is wrong altogether: slopes are
+those of the command, and on a machine whose cables turn far every guide holds the next one's."""
 _SMOOTHED = 16
 """Readings of which the mean is followed while they do not change, that is by no more than"""
 _STEADY_SHARE = 0.6
@@ -60,6 +63,12 @@ class SlidesAtPose:
         self._pieces_m_n = routes.compliance_m_n[:, 1:]
         self._behind_m_n = self._pieces_m_n.sum(axis=1)
         self._first_wrap_rad = routes.wrap_rad[:, 0]
+        # up to each piece behind the first guide, of independent slides at those between
+        later_bends_rad = routes.bends_rad(command)[:, 1:]
+        up_to_piece_rad = np.sqrt((later_bends_rad**2).cumsum(axis=1))
+        self._later_wrap_rad = np.concatenate(
+            [np.zeros((len(up_to_piece_rad), 1)), up_to_piece_rad], axis=1
+        )
         self._guides_turn_m = turning_m[:, 1:].T
 
     def changed(
@@ -90,11 +99,15 @@ class SlidesAtPose:
         slid = np.where(moved, np.sign(change_n), before.mean[0])
         carried = friction * self._first_wrap_rad
         behind_n = now_n * np.exp(carried * slid) - before_n * np.exp(carried * before.mean[0])
-        held_n = max(friction, _LEAST_FRICTION) * self._first_wrap_rad
-        held_n = np.maximum(held_n * np.maximum(now_n, moved_n), _LEAST_HELD_N)
+        held_n_rad = max(friction, _LEAST_FRICTION) * np.maximum(now_n, moved_n)
+        held_n = np.maximum(held_n_rad * self._first_wrap_rad, _LEAST_HELD_N)
         std_n = np.where(moved, moved_n + SLIDING_STD * held_n, moved_n + held_n)
         longer_m = self._run_m_n * change_n + self._behind_m_n * behind_n
-        weight = (np.minimum(before_n, now_n) > moved_n) / (self._behind_m_n * std_n)
+        # what the other guides carry is not known here: of each piece behind them
+        later_std_n = held_n_rad[:, None] * self._later_wrap_rad
+        later_std_m = self._pieces_m_n * later_std_n
+        longer_std_m = np.hypot(self._behind_m_n * std_n, later_std_m.sum(axis=1))
+        weight = (np.minimum(before_n, now_n) > moved_n) / longer_std_m
         # the joints have given way by as much as the cables got longer
         weighted = weight[:, None] * self._by_coordinate
         gave_way = np.linalg.lstsq(weighted, weight * longer_m, rcond=None)[0]
@@ -115,8 +128,8 @@ class SlidesAtPose:
         taken_std_m = np.sqrt(((all_taken_m @ gave_way_covariance) * all_taken_m).sum(axis=1))
         stands_std_n = np.minimum(taken_std_m / self._behind_m_n, held_n)
         behind_std_n = np.where(moved, std_n, stands_std_n)
-        passed_std_m = self._passed_std_m(passed_m, behind_std_n, gave_way_covariance)
-        guides = turned(earlier, passed_m.T, self._guides_turn_m, passed_std_m.T)
+        passed_std_m = self._passed_std_m(passed_m, behind_std_n, later_std_m, gave_way_covariance)
+        guides = _doubted(turned(earlier, passed_m.T, self._guides_turn_m, passed_std_m.T))
         slid_std = self._slid_std(change_n, held_n)
         stands_std = np.hypot(SLIDING_STD, stands_std_n / held_n)
         pulley_std = np.where(moved, slid_std, stands_std)
@@ -127,19 +140,21 @@ class SlidesAtPose:
         )
 
     def _passed_std_m(
-        self, passed_m: Array, behind_std_n: Array, gave_way_covariance: Array
+        self, passed_m: Array, behind_std_n: Array, later_std_m: Array, gave_way_covariance: Array
     ) -> Array:
         """(M, G - 1) deviations of what has passed the guides behind the first.
 
-        By those of the tensions behind the first (M,), by the covariance (n, n) of how the joints
-        gave way, and by what passed on the way and came back.
+        By those of the tensions behind the first (M,) and of what pieces stretch by the others
+        (M, G), by the covariance (n, n) of how the joints gave way, and by what passed on the way
+        and came back.
         """
         by_behind_m_n = self._pieces_m_n[:, :-1].cumsum(axis=1)
         by_way = self._slope_m[:, 1:-1].cumsum(axis=1)
         of_way_m2 = ((by_way @ gave_way_covariance) * by_way).sum(axis=2)
         of_behind_m = by_behind_m_n * behind_std_n[:, None]
+        of_later_m = later_std_m[:, :-1].cumsum(axis=1)
         of_path_m = _PASSED_SHARE * np.abs(passed_m).max()
-        return np.sqrt(of_way_m2 + of_behind_m**2 + of_path_m**2)
+        return np.sqrt(of_way_m2 + of_behind_m**2 + of_later_m**2 + of_path_m**2)
 
     def _slid_std(self, change_n: Array, held_n: Array) -> Array:
         """(M,) deviations of the slides of cables that have slid while readings changed.
@@ -151,6 +166,14 @@ class SlidesAtPose:
         small = np.abs(change_n) < _FIRM_SHARE * largest_n
         turned_back = small * _TURNED_BACK_SHARE * largest_n / held_n
         return np.minimum(np.hypot(SLIDING_STD, turned_back), 1.0)
+
+
+def _doubted(slides: Slides) -> Slides:
+    """Slides (G, M) that with some probability are anything from -1 to 1."""
+    sure = 1.0 - _ASTRAY
+    mean = sure * slides.mean
+    square = sure * (slides.mean**2 + slides.std**2) + _ASTRAY / 3.0
+    return Slides(mean, np.sqrt(square - mean**2), slides.common)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,10 @@ class TendonRoutes:
         """(M, G + 1, n) derivatives of the pieces' lengths by the coordinates at a command."""
         return self._guides.at(self._pose(command)).slope_m
 
+    def bends_rad(self, command: Array) -> Array:
+        """(M, G) by which tendons turn at the guides at a command."""
+        return self._guides.at(self._pose(command)).wrap_rad
+
     def _pose(self, command: Array) -> Array:
         """(n,) about where the machine is: as commanded, or where its actuators' lengths take it.
 
