@@ -31,7 +31,7 @@ from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import LawOutput
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.model_file import open_machine_law
-from cablesense_contact.machine.observation import AboutPose
+from cablesense_contact.machine.observation import OperatingPoint
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.holding import Holding
 from cablesense_sim.machine.machine import Machine, open_machine
@@ -197,9 +197,9 @@ class Bench:
         """
         machine = self.as_described
         touched = machine.touched(command, (contact.acting,), machine.untouched(command))
-        about = None if self.machine.is_measured else AboutPose(touched.pose)
+        operating_point = None if self.machine.is_measured else OperatingPoint(touched.pose)
         seen = self.law.observer.observe(
-            touched.values, command, 0.0 * self.mean, self.covariance, self.unrest, about
+            touched.values, command, 0.0 * self.mean, self.covariance, self.unrest, operating_point
         )
         links = self.machine.links
         touch = self.machine.source.file.touch

@@ -190,7 +190,9 @@ def _labels(recording: Recording, layout: Layout) -> Iterator[Finding]:
             "segment it acts on, or give 0 N",
         )
     if recording.load_at_m is not None:
-        low_m, high_m = layout.loadable_m[np.clip(segment, 1, count) - 1].T
+        range_m = layout.loadable_m[np.clip(segment, 1, count) - 1]
+        low_m = range_m[:, 0]
+        high_m = range_m[:, 1]
         at_m = recording.load_at_m
         off = (segment > 0) & ((at_m < low_m) | (at_m > high_m))
         if off.any():

@@ -94,7 +94,7 @@ class Observation(NamedTuple):
     is_slack: np.bool_
 
 
-class AboutPose(NamedTuple):
+class OperatingPoint(NamedTuple):
     """Where an observation is to be linear.
 
     Attributes:
@@ -185,7 +185,7 @@ class Observer:
         mean: Array,
         covariance: Array,
         unrest: Array,
-        about: AboutPose | None = None,
+        operating_point: OperatingPoint | None = None,
     ) -> Observation:
         """The observation in a reading (M,) at a command (C,), or at measured joint positions.
 
@@ -195,18 +195,18 @@ class Observer:
             mean: (P,) and
             covariance: (P, P) of the parameters.
             unrest: (n, n) covariance of forces by motion.
-            about: where to be linear; by default in the pose that explains the reading.
+            operating_point: where to be linear; by default in the pose that explains the reading.
         """
         known = self._known(command, mean)
         moving = unrest + np.diag(self._friction_variance)
         if self.machine.is_measured:
             return self._of_pose(known, reading, command, covariance, moving)
-        seen = self._of_tensions(known, reading, covariance, moving, about)
+        seen = self._of_tensions(known, reading, covariance, moving, operating_point)
         if self._friction is None or np.abs(seen.pose - known.pose).max() < _SAME_BENDS:
             return seen
         # tendons bend, and rub, as they do in the pose that the reading shows
         there = self._rubbing(command, mean, seen.pose)
-        return self._of_tensions(there, reading, covariance, moving, about)
+        return self._of_tensions(there, reading, covariance, moving, operating_point)
 
     def command_of(self, pose: Array) -> Array:
         """(C,) the command that holds the machine, as modelled, near a pose (n,)."""
@@ -248,8 +248,7 @@ class Observer:
         in_base = known.frames.axes[contact.link] @ contact.force_n
         force = replace(contact, force_n=in_base)
         statics = known.built.statics
-        pose, _ = statics.rest(known.unstretched_m, (force,), near.pose, near.load_slope)
-        return pose
+        return statics.rest(known.unstretched_m, (force,), near.pose, near.load_slope).pose
 
     def _known(self, command: Array, mean: Array) -> _Known:
         key = mean.tobytes() + command.tobytes()
@@ -278,8 +277,9 @@ class Observer:
             start = machine.reference
             if machine.source.file.joints == "commanded":
                 start = command + built.joint_zero
-            pose, tensions = statics.rest(unstretched_m, (), start)
-            load_slope = statics.load_slope(pose, tensions)
+            rest = statics.rest(unstretched_m, (), start)
+            pose = rest.pose
+            load_slope = statics.load_slope(pose, rest.tensions_n)
         sources = ParameterSources(machine, self.parameters, built, command, pose)
         rows = np.concatenate([sources.rows, self._channel_rows()])
         frame_pose = command if machine.source.file.joints == "commanded" else pose
@@ -287,7 +287,7 @@ class Observer:
         frames = statics.links()
         curvature = np.zeros((len(pose), len(pose)))
         if not machine.is_measured:
-            curvature = self._curvature(statics, pose, tensions)
+            curvature = self._curvature(statics, pose, rest.tensions_n)
         known = _Known(built, unstretched_m, pose, load_slope, sources, rows, frames, curvature)
         _keep(self._kept_without_friction, key, known)
         return known
@@ -327,9 +327,9 @@ class Observer:
         rubbing = known._replace(built=built, sources=sources, rows=rows)
         if self.machine.is_measured:
             return rubbing
-        rest, tensions_n = built.statics.rest(known.unstretched_m, (), known.pose)
-        load_slope = built.statics.load_slope(rest, tensions_n)
-        return rubbing._replace(pose=rest, load_slope=load_slope)
+        rest = built.statics.rest(known.unstretched_m, (), known.pose)
+        load_slope = built.statics.load_slope(rest.pose, rest.tensions_n)
+        return rubbing._replace(pose=rest.pose, load_slope=load_slope)
 
     def _built_of(self, mean: Array) -> BuiltMachine:
         key = mean.tobytes()
@@ -343,18 +343,18 @@ class Observer:
         reading: Array,
         covariance: Array,
         moving: Array,
-        about: AboutPose | None,
+        operating_point: OperatingPoint | None,
     ) -> Observation:
         built = known.built
         statics = built.statics
         read = self.machine.channels.tendon
         tension = (reading - built.zero) / built.gain
-        if about is None:
-            about = AboutPose(self._pose_of(known, tension, covariance))
-        pose = about.pose
+        if operating_point is None:
+            operating_point = OperatingPoint(self._pose_of(known, tension, covariance))
+        pose = operating_point.pose
         load_slope = known.load_slope
-        if about.load_slope is not None:
-            load_slope = about.load_slope
+        if operating_point.load_slope is not None:
+            load_slope = operating_point.load_slope
         elif len(read) < len(pose):
             # where tensions do not determine the pose, how forces depend on it matters
             balance = statics.at(pose)

@@ -23,7 +23,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.machine.observation import AboutPose, Observation, Observer
+from cablesense_contact.machine.observation import Observation, Observer, OperatingPoint
 from cablesense_sim.machine.description import MachineError
 from cablesense_sim.machine.statics import LinkForce
 
@@ -137,7 +137,7 @@ class SoftContacts:
             MachineError: the untouched machine finds no rest at the command.
         """
         untouched_pose = self._observer.untouched_pose(reading.command, reading.mean)
-        untouched = self._explained(self._observed(AboutPose(untouched_pose), reading))
+        untouched = self._explained(self._observed(OperatingPoint(untouched_pose), reading))
         explanations = [untouched, *self._from_starts(untouched, reading)]
         best = max(explanations, key=_strength)
         for refined in self._refinements(best, untouched, reading):
@@ -159,10 +159,10 @@ class SoftContacts:
         for link in self._starts:
             seen = untouched.observation
             for _ in range(_STEPS_OF_A_START):
-                about = self._under(self._contact_on(link, seen), seen, reading)
-                if about is None:
+                operating_point = self._under(self._contact_on(link, seen), seen, reading)
+                if operating_point is None:
                     break
-                seen = self._observed(about._replace(load_slope=slope), reading)
+                seen = self._observed(operating_point._replace(load_slope=slope), reading)
             if seen is not untouched.observation:
                 yield _against(untouched, self._explained(seen))
 
@@ -174,10 +174,12 @@ class SoftContacts:
         for number in range(_REFINEMENTS):
             if _strength(best) <= 0.0:
                 return
-            about = self._under(best.likeliest, best.observation, reading)
-            if about is None:
+            operating_point = self._under(best.likeliest, best.observation, reading)
+            if operating_point is None:
                 return
-            refined = _against(untouched, self._explained(self._observed(about, reading)))
+            refined = _against(
+                untouched, self._explained(self._observed(operating_point, reading))
+            )
             if number > 0 and _strength(refined) <= _strength(best):
                 return
             best = refined
@@ -187,7 +189,7 @@ class SoftContacts:
         """An observation with the statement on it."""
         return Explained(seen, self._state([seen]))
 
-    def _observed(self, about: AboutPose, reading: Reading) -> Observation:
+    def _observed(self, operating_point: OperatingPoint, reading: Reading) -> Observation:
         """The observation in a reading, linear about a pose."""
         return self._observer.observe(
             reading.values,
@@ -195,16 +197,18 @@ class SoftContacts:
             reading.mean,
             reading.covariance,
             reading.unrest,
-            about,
+            operating_point,
         )
 
-    def _under(self, contact: LinkForce, near: Observation, reading: Reading) -> AboutPose | None:
+    def _under(
+        self, contact: LinkForce, near: Observation, reading: Reading
+    ) -> OperatingPoint | None:
         """The rest under a contact, near another pose; None if the machine does not bear it."""
         try:
             pose = self._observer.pose_under(contact, reading.command, reading.mean, near)
         except MachineError:
             return None
-        return AboutPose(pose)
+        return OperatingPoint(pose)
 
     def _contact_on(self, link: int, seen: Observation) -> LinkForce:
         """The force across the middle of a link that explains an observation best."""

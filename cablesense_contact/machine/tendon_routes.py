@@ -70,5 +70,4 @@ class TendonRoutes:
         pretension_n = machine.tendons.pretension_n
         nothing = np.zeros(len(machine.coordinates))
         unstretched_m = self._holding.unstretched_m(command, self._statics, pretension_n, nothing)
-        pose, _ = self._statics.rest(unstretched_m, (), machine.reference)
-        return pose
+        return self._statics.rest(unstretched_m, (), machine.reference).pose

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 from itertools import chain, count
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -284,7 +284,7 @@ def load_robot(path: str | Path) -> Robot:
     if not all(names):
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
     joints = _as_places(names)
-    geared, left_out = _geared(model, path)
+    gearing = _gearing(model, path)
     body_numbers = [
         b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0
     ]
@@ -305,8 +305,8 @@ def load_robot(path: str | Path) -> Robot:
         controls=_controls(model, actuators),
         tendons=_as_places(tendons),
         tendon_ids=np.array(guided, dtype=np.int64),
-        geared=geared,
-        left_out=left_out,
+        geared=gearing.ratios,
+        left_out=gearing.left_out,
     )
 
 
@@ -358,8 +358,20 @@ def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Arr
     return joint_forces
 
 
-def _geared(model: mujoco.MjModel, path: Path) -> tuple[Array, tuple[str, ...]]:
-    """Ratios of joints that are tied to others, and what of the active equalities is left out."""
+class _Gearing(NamedTuple):
+    """What the equalities of a model say of J joints.
+
+    Attributes:
+        ratios: (J, J) of joints, by rows, that are tied to others.
+        left_out: what of the active equalities is left out, as sentences.
+    """
+
+    ratios: Array
+    left_out: tuple[str, ...]
+
+
+def _gearing(model: mujoco.MjModel, path: Path) -> _Gearing:
+    """By the active equalities; a joint that two of them tie is refused."""
     geared = np.zeros((model.njnt, model.njnt))
     others = 0
     for tie in joint_ties(model, path, RobotError):
@@ -369,7 +381,9 @@ def _geared(model: mujoco.MjModel, path: Path) -> tuple[Array, tuple[str, ...]]:
             others += 1
     of_joints = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
     others += int(model.eq_active0.sum()) - int(of_joints.sum())
-    return geared, (f"{others} equality constraints of the model are left out.",) * bool(others)
+    if not others:
+        return _Gearing(geared, ())
+    return _Gearing(geared, (f"{others} equality constraints of the model are left out.",))
 
 
 def _controls(model: mujoco.MjModel, actuators: Sequence[str]) -> tuple[str, ...]:

@@ -180,11 +180,12 @@ def write_protocol(path: Path, robot: Robot, blocks: Sequence[RobotBlock]) -> in
     Raises:
         RecordingError: the place cannot be written to.
     """
-    position, trial = _concatenated(blocks)
-    columns = {"time_s": np.arange(len(position)) / RATE_HZ, "trial": trial + 1}
-    columns |= {f"position.{name}": position[:, j] for j, name in enumerate(robot.joints)}
+    rows = _rows_of(blocks)
+    count = len(rows.position)
+    columns = {"time_s": np.arange(count) / RATE_HZ, "trial": rows.block + 1}
+    columns |= {f"position.{name}": rows.position[:, j] for j, name in enumerate(robot.joints)}
     write_table(path, columns, "%.6f")
-    return len(position)
+    return count
 
 
 def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) -> str:
@@ -196,27 +197,27 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     if not rivals:
         return ""
     blocks = standard_protocol(robot)
-    position, number = _concatenated(blocks, _COMPARED_STRIDE)
+    rows = _rows_of(blocks, _COMPARED_STRIDE)
     moved = [derivatives(block.position, RATE_HZ) for block in blocks]
     speed, acceleration = (
         np.concatenate([each[k][::_COMPARED_STRIDE] for each in moved]) for k in range(2)
     )
     trajectory = Trajectory(
-        time_s=np.arange(len(position)) * _COMPARED_STRIDE / RATE_HZ,
-        trial=number,
-        position=position,
+        time_s=np.arange(len(rows.position)) * _COMPARED_STRIDE / RATE_HZ,
+        trial=rows.block,
+        position=rows.position,
         speed=speed,
         acceleration=acceleration,
         direction=np.clip(speed / _SLOW_SPEED, -1.0, 1.0),
-        load=np.zeros_like(position),
-        command=np.full((len(position), robot.model.nu), np.nan),
+        load=np.zeros_like(rows.position),
+        command=np.full((len(rows.position), robot.model.nu), np.nan),
     )
     dynamics = InverseDynamics(robot, trajectory)
     weighed = rivals if len(rivals) > 1 else [{}, *rivals]
     torques = [dynamics.torques(changed(robot, [values])) / floor for values in weighed]
     pairs = [(a - b) ** 2 for a, b in combinations(torques, 2)]
-    nearest = np.min([np.bincount(number, pair.mean(1)) for pair in pairs], axis=0)
-    size = np.sqrt(nearest / np.bincount(number))
+    nearest = np.min([np.bincount(rows.block, pair.mean(1)) for pair in pairs], axis=0)
+    size = np.sqrt(nearest / np.bincount(rows.block))
     if not size.max() > 0.0:  # play, which no trajectory shows that was not measured
         return ""
     best = blocks[int(size.argmax())]
@@ -252,8 +253,20 @@ def _ranges(robot: Robot, ties: Sequence[JointTie]) -> tuple[Array, Array]:
     return _with_followers(middle[None], ties)[0], reach
 
 
-def _concatenated(blocks: Sequence[RobotBlock], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
-    """Positions and numbers of blocks, one after the other."""
+class _BlockRows(NamedTuple):
+    """Rows of blocks, one after the other.
+
+    Attributes:
+        position: (R, J).
+        block: (R,) numbers of their blocks.
+    """
+
+    position: Array
+    block: NDArray[np.int64]
+
+
+def _rows_of(blocks: Sequence[RobotBlock], every: int = 1) -> _BlockRows:
+    """All rows of blocks, or one in `every` of them."""
     positions = [block.position[::every] for block in blocks]
     number = np.repeat(np.arange(len(blocks)), [len(each) for each in positions])
-    return np.concatenate(positions), number
+    return _BlockRows(np.concatenate(positions), number)

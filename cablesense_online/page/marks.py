@@ -58,8 +58,11 @@ def interval_outline_m(
     """
     ahead = unit(force_n - (force_n @ normal) * normal)
     aside = np.cross(ahead, normal)  # contact angles grow from +z to +y, against the axis' screw
-    first_deg, last_deg = bounds.angles_deg or (0.0, 360.0)
-    width_deg = (last_deg - first_deg) % 360.0 if bounds.angles_deg else 360.0
+    first_deg = 0.0
+    width_deg = 360.0
+    if bounds.angles_deg:
+        first_deg = bounds.angles_deg[0]
+        width_deg = (bounds.angles_deg[1] - first_deg) % 360.0
     turned_deg = first_deg - angle_deg + np.linspace(0.0, width_deg, FORCE_OUTLINE_LINES // 2)
     turn = np.deg2rad(turned_deg)
     rays = np.outer(np.cos(turn), ahead) + np.outer(np.sin(turn), aside)

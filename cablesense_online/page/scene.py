@@ -208,11 +208,11 @@ class MachineScene:
             band.visible = part is not None
             if part is None:
                 continue
-            middle_m, length_m = place_band(part, self._scale.size_m)
-            band.position = links.origin_m[n] + middle_m * links.axes[n, :, 0]
+            stated = place_band(part, self._scale.size_m)
+            band.position = links.origin_m[n] + stated.middle_m * links.axes[n, :, 0]
             turn = Rotation.from_matrix(links.axes[n]) * lying
             band.wxyz = turn.as_quat(scalar_first=True)
-            band.scale = (1.0, 1.0, length_m)
+            band.scale = (1.0, 1.0, stated.length_m)
 
     def _add_ground(self) -> None:
         size_m = self._scale.size_m

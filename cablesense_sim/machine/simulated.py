@@ -88,9 +88,9 @@ class SimulatedMachine:
         start = self.machine.reference if near is None else near
         if near is None and self.machine.source.file.joints == "commanded":
             start = command + built.joint_zero
-        pose, tensions_n = built.statics.rest(unstretched_m, forces, start)
-        values = tensions_n[self.machine.channels.tendon]
-        return AtRest(pose, tensions_n, built.gain * values + built.zero)
+        rest = built.statics.rest(unstretched_m, forces, start)
+        values = rest.tensions_n[self.machine.channels.tendon]
+        return AtRest(rest.pose, rest.tensions_n, built.gain * values + built.zero)
 
     def _in_pose(self, command: Array, forces: Sequence[LinkForce]) -> AtRest:
         """Drives hold the pose: what they must give is what their sensors read."""

@@ -114,6 +114,18 @@ class _State(NamedTuple):
     residual: Array
 
 
+class Rest(NamedTuple):
+    """Where a machine is at rest.
+
+    Attributes:
+        pose: (n,).
+        tensions_n: (K,) of its tendons.
+    """
+
+    pose: Array
+    tensions_n: Array
+
+
 class MachineStatics:
     """A machine, as its model or with changes of its own, at any pose.
 
@@ -269,8 +281,8 @@ class MachineStatics:
         forces: Sequence[LinkForce],
         start: Array,
         load_slope: Array | None = None,
-    ) -> tuple[Array, Array]:
-        """Where the machine comes to rest under forces, from a pose (n,) on, and tensions (K,).
+    ) -> Rest:
+        """Where the machine comes to rest under forces, from a pose (n,) on.
 
         Newton's steps r - H⁻¹ F, shortened until the potential energy falls, which is least at
         rest, and of which F is the steepest descent. The force along a step may grow: where H is
@@ -292,7 +304,7 @@ class MachineStatics:
             step = self._compliance(here, constant) @ here.residual
             length = float(np.abs(step).max())
             if length < _REST:
-                return here.pose, here.tensions_n
+                return Rest(here.pose, here.tensions_n)
             downhill = float(step @ here.residual)
             share = min(1.0, _LONGEST_STEP / length)
             there = self._state(here.pose + share * step, unstretched_m, acting)

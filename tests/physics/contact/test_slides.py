@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -126,37 +128,63 @@ def test_slides_are_those_of_the_plant():
     assert np.mean(moved) > 0.9
 
 
+class PushedWalk:
+    """An exact arm whose cables rub, on its way from one random pose to the next.
+
+    Attributes:
+        walk: of the plant.
+        untouched_n: (M,) readings in the present pose, and
+        pushed_n: (M,) those under the push.
+        under_load: what the latter say of slides.
+    """
+
+    def __init__(self, friction: float, push_n: float, seed: int) -> None:
+        self.friction = friction
+        self.push_n = push_n
+        self.rng = np.random.default_rng(seed)
+        exact = Workmanship().scaled(0.0)
+        self.built = BuiltArm(NOMINAL, exact, self.rng, friction=friction)
+        self.command = np.zeros(8)
+        self.walk = self.built.walk(self.command)
+
+    def go_and_be_pushed(self) -> None:
+        """Go to another pose, and be pushed in the middle of a segment from 2 on."""
+        before = self.command
+        self.command = self.rng.uniform(-0.17, 0.17, 8)
+        self.untouched_n = self.walk.go(self.command).copy()
+        arrived = SLIDES.after_motion(before, self.command)
+        known = with_friction(self.friction)
+        under_load = SLIDES.under_load(self.command, self.untouched_n, known, arrived)
+        segment = int(self.rng.integers(2, 5))
+        angle = self.rng.uniform(0.0, 2.0 * np.pi)
+        across_n = self.push_n * np.array([0.0, np.sin(angle), np.cos(angle)])
+        axes = self.built.axes(self.command)[segment - 1]
+        self.pushed_n = self.walk.go(self.command, [Push(segment, 0.06, axes @ across_n)]).copy()
+        self.under_load = under_load.after(self.pushed_n)
+
+    def release(self) -> np.ndarray:
+        """(M,) readings once the push is gone."""
+        return self.walk.go(self.command).copy()
+
+
 @pytest.mark.slow
 def test_a_cable_that_moved_little_while_others_moved_much_may_have_turned_back():
     """The tension behind its pulley rose and fell; what is stated of its slide covers that."""
-    friction = 0.05
-    rng = np.random.default_rng(5)
-    built = BuiltArm(NOMINAL, Workmanship().scaled(0.0), rng, friction=friction)
-    command = np.zeros(8)
-    walk = built.walk(command)
+    course = PushedWalk(friction=0.05, push_n=30.0, seed=5)
     off_by_std: list[float] = []
 
     def note(slides: Slides, change_n: np.ndarray) -> None:
         size_n = np.abs(change_n)
         little = (size_n > 0.4) & (size_n < 0.1 * size_n.max())
-        off = at_pulleys(walk, friction) - slides.mean[0]
+        off = at_pulleys(course.walk, course.friction) - slides.mean[0]
         off_by_std.extend(off[little] / slides.std[0, little])
 
     for _ in range(12):
-        before = command
-        command = rng.uniform(-0.17, 0.17, 8)
-        untouched_n = walk.go(command).copy()
-        arrived = SLIDES.after_motion(before, command)
-        under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
-        segment = int(rng.integers(2, 5))
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        across_n = 30.0 * np.array([0.0, np.sin(angle), np.cos(angle)])
-        pushed = Push(segment, 0.06, built.axes(command)[segment - 1] @ across_n)
-        pushed_n = walk.go(command, [pushed]).copy()
-        under_load = under_load.after(pushed_n)
-        note(under_load.slides, pushed_n - untouched_n)
-        released_n = walk.go(command).copy()
-        note(under_load.after(released_n).slides, released_n - pushed_n)
+        course.go_and_be_pushed()
+        note(course.under_load.slides, course.pushed_n - course.untouched_n)
+        released_n = course.release()
+        slides = course.under_load.after(released_n).slides
+        note(slides, released_n - course.pushed_n)
     assert len(off_by_std) > 40
     assert np.sqrt(np.mean(np.square(off_by_std))) < 1.2
 
@@ -164,36 +192,30 @@ def test_a_cable_that_moved_little_while_others_moved_much_may_have_turned_back(
 @pytest.mark.slow
 def test_slides_behind_the_pulleys_are_within_what_is_stated_of_them():
     """Against the plant, at the plates before each joint, when the arm is pushed."""
-    friction = 0.1
-    rng = np.random.default_rng(6)
-    built = BuiltArm(NOMINAL, Workmanship().scaled(0.0), rng, friction=friction)
-    command = np.zeros(8)
-    walk = built.walk(command)
+    course = PushedWalk(friction=0.1, push_n=25.0, seed=6)
     off_by_std: list[float] = []
     for _ in range(16):
-        before = command
-        command = rng.uniform(-0.17, 0.17, 8)
-        untouched_n = walk.go(command).copy()
-        arrived = SLIDES.after_motion(before, command)
-        under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
-        segment = int(rng.integers(2, 5))
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        across_n = 25.0 * np.array([0.0, np.sin(angle), np.cos(angle)])
-        pushed = Push(segment, 0.06, built.axes(command)[segment - 1] @ across_n)
-        pushed_n = walk.go(command, [pushed]).copy()
-        slides = under_load.after(pushed_n).slides
-        slid = np.abs(pushed_n - untouched_n) > 0.4
-        slide, exists = at_plates(walk, friction)
-        off = (slide - slides.mean[1:]) / slides.std[1:]
-        off_by_std.extend(off[exists & slid])
-        walk.go(command)
+        course.go_and_be_pushed()
+        slides = course.under_load.slides
+        slid = np.abs(course.pushed_n - course.untouched_n) > 0.4
+        plates = at_plates(course.walk, course.friction)
+        off = (plates.slide - slides.mean[1:]) / slides.std[1:]
+        off_by_std.extend(off[plates.exists & slid])
+        course.release()
     assert len(off_by_std) > 200
     assert np.sqrt(np.mean(np.square(off_by_std))) < 1.0
     assert np.mean(np.abs(off_by_std) > 2.0) < 0.05
 
 
-def at_plates(walk, friction: float) -> tuple[np.ndarray, np.ndarray]:
-    """(G - 1, M) slides over the plates before each joint, and where a taut cable bends there.
+class AtPlates(NamedTuple):
+    """Slides (G - 1, M) over the plates before each joint, and where a taut cable bends there."""
+
+    slide: np.ndarray
+    exists: np.ndarray
+
+
+def at_plates(walk, friction: float) -> AtPlates:
+    """By the plant's tensions and bends.
 
     Cables pass the base plate, then two plates of each segment, between which they are straight.
     """
@@ -207,7 +229,7 @@ def at_plates(walk, friction: float) -> tuple[np.ndarray, np.ndarray]:
     wrap_rad = np.concatenate([bend_rad[:1], bend_rad[1:7].reshape(3, 2, -1).sum(axis=1)])
     exists = (wrap_rad > 1e-3) & (tension_n.min(axis=0) > 2.0)
     ratio = np.where(exists, behind_n, 1.0) / np.where(exists, before_joint_n, 1.0)
-    return np.log(ratio) / (friction * np.where(exists, wrap_rad, 1.0)), exists
+    return AtPlates(np.log(ratio) / (friction * np.where(exists, wrap_rad, 1.0)), exists)
 
 
 def at_pulleys(walk, friction: float) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_base import Array
-from cablesense_contact.machine.observation import AboutPose, Observation, Observer
+from cablesense_contact.machine.observation import Observation, Observer, OperatingPoint
 from cablesense_sim.machine.machine import Machine
 from cablesense_sim.machine.simulated import SimulatedMachine
 from cablesense_sim.machine.statics import LinkForce
@@ -33,8 +33,8 @@ def observed(
     covariance = np.diag(parameters.prior_std**2)
     count = len(machine.coordinates)
     still = np.zeros((count, count))
-    about = None if near is None else AboutPose(near)
-    return observer, observer.observe(values, command, exact, covariance, still, about)
+    operating_point = None if near is None else OperatingPoint(near)
+    return observer, observer.observe(values, command, exact, covariance, still, operating_point)
 
 
 def push(machine: Machine, share: float) -> LinkForce:

@@ -13,7 +13,7 @@ from cablesense_base import Array
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.law import MachineLaw
-from cablesense_contact.machine.observation import AboutPose, Observer
+from cablesense_contact.machine.observation import Observer, OperatingPoint
 from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.slides import Belief
 from cablesense_online.machine_simulation import MachineSimulation
@@ -283,7 +283,7 @@ def test_derivatives_by_what_is_carried(tmp_path: Path) -> None:
     unrest = np.zeros((len(command), len(command)))
     reading = as_described(machine).untouched(command).values
     seen = observer.observe(reading, command, mean, covariance, unrest)
-    there = AboutPose(seen.pose)
+    there = OperatingPoint(seen.pose)
     step = 1e-4
     for number in np.arange(part.start, part.stop)[exists]:
         ends = []

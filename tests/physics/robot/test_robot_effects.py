@@ -138,6 +138,6 @@ def test_the_amended_robot_is_the_changed_one(name, robot, systems, tmp_path):
     again, beside = load_amended(tmp_path)
     in_model = {term.effect for term in set(values) - set(beside)}
     assert in_model == ({name} if known_robot_effects()[name].in_model else set())
-    found = RobotSystem(again, system.motion, beside)
+    amended = RobotSystem(again, system.motion, beside)
     expected = system.predict([values])[0] * system.scale
-    np.testing.assert_allclose((found.nominal - expected) / system.scale, 0.0, atol=1e-2)
+    np.testing.assert_allclose((amended.nominal - expected) / system.scale, 0.0, atol=1e-2)
