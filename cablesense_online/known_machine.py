@@ -35,7 +35,7 @@ class Touch:
     Place, force and moment are those of the likeliest contact, also where none is stated.
 
     Attributes:
-        state: what is stated, as on the topic `~/force_state`.
+        state: what is stated.
         link: the frame of the touched link, such as `segment_3`; empty where nothing touches, or
             the reading is implausible.
         place_m: where on the link's axis, from its frame on.
@@ -60,18 +60,17 @@ class Touch:
     @property
     def angle_deg(self) -> float:
         """Direction of the force across the axis: 0 along the link's z, 90 along its y."""
-        _, y_n, z_n = self.force_n.tolist()
-        return math.degrees(math.atan2(y_n, z_n)) % 360.0
+        return math.degrees(math.atan2(self.force_n[1], self.force_n[2])) % 360.0
 
     def __str__(self) -> str:
         stated = self.state.value
-        if self.link:
-            low_m, high_m = self.place_ci95_m
-            low_n, high_n = self.magnitude_ci95_n
-            stated += (
-                f" on {self.link}, {1e3 * low_m:.0f} to {1e3 * high_m:.0f} mm from its joint: "
-                f"{low_n:.2f} to {high_n:.2f} N"
-            )
+        if self.state is ContactState.MOMENT:
+            moment_n_m = math.hypot(*self.moment_n_m)
+            stated += f" on {self.link}: {moment_n_m:.3f} N·m about its joint"
+        elif self.link:
+            place_mm = " to ".join(f"{1e3 * place_m:.0f}" for place_m in self.place_ci95_m)
+            force_n = " to ".join(f"{size_n:.2f}" for size_n in self.magnitude_ci95_n)
+            stated += f" on {self.link}, {place_mm} mm from its joint: {force_n} N"
         return f"{stated} ({self.doubt})" if self.doubt else stated
 
 
@@ -153,17 +152,17 @@ class KnownMachine:
 def _touch(seen: LawOutput, judgement: Judgement, link_names: Sequence[str]) -> Touch:
     """What is stated of one reading, of which the law's output is a batch of one."""
     is_touched = judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE)
-    least_m, most_m = seen.place_ci95_m[0].tolist()
-    least_n, most_n = seen.magnitude_ci95_n[0].tolist()
-    _, y_n, z_n = seen.force_n[0].tolist()
+    place_ci95_m = seen.place_ci95_m[0]
+    magnitude_ci95_n = seen.magnitude_ci95_n[0]
+    force_n = seen.force_n[0]
     return Touch(
         state=judgement.state,
         link=link_names[judgement.segment - 1] if is_touched else "",
         place_m=float(seen.place_m[0]),
-        place_ci95_m=(least_m, most_m),
-        force_n=seen.force_n[0],
-        magnitude_n=math.hypot(y_n, z_n),
-        magnitude_ci95_n=(least_n, most_n),
+        place_ci95_m=(float(place_ci95_m[0]), float(place_ci95_m[1])),
+        force_n=force_n,
+        magnitude_n=math.hypot(force_n[1], force_n[2]),
+        magnitude_ci95_n=(float(magnitude_ci95_n[0]), float(magnitude_ci95_n[1])),
         moment_n_m=seen.moment_n_m[0],
         doubt=judgement.doubt,
     )

@@ -46,6 +46,17 @@ def test_a_batch_says_what_single_readings_say(tared, pushed):
     assert str(touched) == str(tared.touch(pushed[1], POSE_RAD))
 
 
+def test_of_segment_1_it_says_the_moment(tared):
+    mechanism = mechanism_of(open_arm("cdsm_lab"))
+    push_n = normal_force_n(mechanism, POSE_RAD, segment=1, angle_deg=90.0, magnitude_n=20.0)
+    reading_n = solve_equilibrium(mechanism, POSE_RAD, push_n).tensions_n
+    touch = tared.touch(reading_n, POSE_RAD)
+    assert touch.state is ContactState.MOMENT
+    moment_n_m = 20.0 * mechanism.contact_m[0]
+    assert np.hypot(*touch.moment_n_m) == pytest.approx(moment_n_m, rel=0.05)
+    assert str(touch).startswith(f"moment on segment_1: {moment_n_m:.1f}")
+
+
 def test_a_tare_narrows_what_is_stated(pushed):
     by_tolerances = KnownMachine.load("cdsm_lab")
     widths_n = []
