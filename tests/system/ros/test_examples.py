@@ -28,6 +28,8 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     controller = start("examples.back_off")
     graph.until(lambda: "free" in reader.log, "a free arm")
     straight = JointState(name=JOINTS, position=[0.0] * 8)
+    readers = 3  # sim, estimator and this test: a command that one of them misses drops the tare
+    graph.until(lambda: graph.command.get_subscription_count() == readers, "all readers")
     graph.command.publish(straight)  # or the first step drops the tare
     graph.until(lambda: commands, "the command")
     commands.clear()
