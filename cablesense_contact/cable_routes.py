@@ -7,12 +7,24 @@ actuator holds the beginning of the run, and the end of the last piece is fixed 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from cablesense_base import Array
 
 MOVED_STD = 5.0
 """A cable has moved if its reading has changed by this many deviations of a reading."""
+
+
+class OnTheWay(NamedTuple):
+    """What cables are like at K commands of a motion, one after the other.
+
+    Attributes:
+        length_m: (K, M, G + 1) of the pieces.
+        wrap_rad: (K, M, G) by which cables turn at the guides.
+    """
+
+    length_m: Array
+    wrap_rad: Array
 
 
 class CableRoutes(Protocol):
@@ -29,11 +41,6 @@ class CableRoutes(Protocol):
         ...
 
     @property
-    def wrap_rad(self) -> Array:
-        """(M, G) by which a cable turns at a guide, as far as that counts for when it slides."""
-        ...
-
-    @property
     def moved_n(self) -> float:
         """Change of a reading that shows that a cable has moved."""
         ...
@@ -43,14 +50,19 @@ class CableRoutes(Protocol):
         """Whether commands and readings tell how cables slide."""
         ...
 
-    def on_the_way_m(self, from_command: Array, to_command: Array, steps: int) -> Array:
-        """(steps + 1, M, G + 1) lengths of pieces on a straight way between commands (C,)."""
+    @property
+    def returning(self) -> float:
+        """Probability that a cable slid there and back on its way, as no reading shows."""
+        ...
+
+    def on_the_way(self, from_command: Array, to_command: Array, steps: int) -> OnTheWay:
+        """Pieces and guides on a straight way between commands (C,), in steps."""
         ...
 
     def slope_m(self, command: Array) -> Array:
         """(M, G + 1, n) derivatives of the pieces' lengths by the coordinates at a command."""
         ...
 
-    def bends_rad(self, command: Array) -> Array:
+    def wrap_rad(self, command: Array) -> Array:
         """(M, G) by which cables turn at the guides at a command."""
         ...

@@ -22,7 +22,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import CableRoutes
-from cablesense_contact.slides import Belief, Slides, turned
+from cablesense_contact.slides import Belief, Passed, Slides, play_compliance_m_n, played
 from cablesense_contact.slides_under_load import SlidesAtPose, SlidesUnderLoad
 from cablesense_sim.parameter_groups import GroupedParameters
 
@@ -37,8 +37,8 @@ _SAME_SLIDE_STEP = 1.0 / 16.0
 """Slides that are nearer to each other count as the same."""
 _FREED_STD = 0.05
 """Deviation of slides after a breath."""
-_LEAST_WAY_M = 1e-12
-"""Over which a cable turns, at the least: something is divided by it."""
+_LEAST_PLAY_M = 1e-12
+"""Play of a guide over which a cable goes straight: something is divided by it."""
 
 
 @dataclass(frozen=True)
@@ -115,31 +115,31 @@ class CableSlides:
         self._carried = friction.carried
         self._coefficient = friction.coefficient
         self._exists = friction.exists
-        cables, guides = routes.wrap_rad.shape
+        cables, pieces = routes.compliance_m_n.shape
         # parameters of a machine without friction may have no guides at all
-        shape = (guides if friction.exists.size else 0, cables)
+        shape = (pieces - 1 if friction.exists.size else 0, cables)
         nothing = np.zeros(shape)
         self.unknown = Slides(nothing, np.ones(shape), nothing)
         self.freed = Slides(nothing, np.full(shape, _FREED_STD), nothing)
         self._pretension_n = float(np.max(routes.pretension_n, initial=0.0))
-        # to slide back, a cable that carries ε = μ has to be stretched until it carries -μ
-        behind_m_n = routes.compliance_m_n[:, 1:].sum(axis=1)
-        turning_m = 2.0 * friction.expected * routes.pretension_n * behind_m_n
-        self._turning_m = np.maximum(turning_m[:, None] * routes.wrap_rad, _LEAST_WAY_M)
+        play_m_n = play_compliance_m_n(routes.compliance_m_n)
+        self._play_m_rad = 2.0 * friction.expected * routes.pretension_n[:, None] * play_m_n
 
     def after_motion(self, from_rad: Array, to_rad: Array) -> Slides:
         """Those of the unloaded machine after a straight motion between two commands (C,).
 
-        What passes a guide is what the pieces behind it take up. After a turn it slides again when
-        it has stretched by the friction that it carried.
+        What passes a guide is what the pieces behind it take up.
         """
         slides = self.unknown
         if not (self._exists.any() and self._routes.are_followed):
             return slides
-        length_m = self._routes.on_the_way_m(from_rad, to_rad, _STEPS_OF_MOTION)
-        behind_m = length_m[..., :0:-1].cumsum(axis=-1)[..., ::-1].swapaxes(-1, -2)
-        for passed_m in np.diff(behind_m, axis=0):
-            slides = turned(slides, passed_m, self._turning_m.T)
+        way = self._routes.on_the_way(from_rad, to_rad, _STEPS_OF_MOTION)
+        behind_m = way.length_m[..., :0:-1].cumsum(axis=-1)[..., ::-1]
+        wrap_rad = 0.5 * (way.wrap_rad[1:] + way.wrap_rad[:-1])
+        for passed_m, turned_rad in zip(np.diff(behind_m, axis=0), wrap_rad, strict=True):
+            play_m = np.maximum(self._play_m_rad * turned_rad, _LEAST_PLAY_M)
+            surely_m = Passed(passed_m.T, np.zeros_like(passed_m.T))
+            slides = played(slides, surely_m, play_m.T)
         return slides
 
     def matter(self, known: Belief) -> bool:
@@ -156,7 +156,7 @@ class CableSlides:
 
         `arrived` are the slides with which the machine came there, by default unknown.
         """
-        pose = SlidesAtPose(self._routes, command_rad, self._turning_m)
+        pose = SlidesAtPose(self._routes, command_rad)
         return SlidesUnderLoad.begin(
             pose,
             self.unknown if arrived is None else arrived,

@@ -17,8 +17,8 @@ from cablesense_base import Array
 SLIDING_STD = 0.1
 """Deviation of the slide where cable has slid: the last of the way may have been back."""
 
-_LEAST_STD_M = 1e-15
-"""Deviation of a length that is known: something is divided by it."""
+_LEAST_STD = 1e-9
+"""Deviation of a slide that is known: something is divided by it."""
 
 
 class Belief(NamedTuple):
@@ -42,24 +42,104 @@ class Slides(NamedTuple):
     common: Array
 
 
-def turned(
-    slides: Slides, passed_m: Array, turning_m: Array, passed_std_m: Array | None = None
-) -> Slides:
-    """Slides (G, M) after lengths (G, M) of cable have passed: towards the arm if positive.
+class Passed(NamedTuple):
+    """What would pass M cables over their G guides if these did not hold them.
 
-    The way over which a cable turns is known roughly: the chance that it has not yet turned falls
-    exponentially with what has passed. Where that is known with a standard deviation (G, M) only,
-    its direction is, too: the mean slide is then the chance of one way less that of the other.
+    Attributes:
+        length_m: (G, M), towards the arm if positive.
+        std_m: (G, M) how far off that may be.
     """
-    std_m = np.zeros_like(passed_m) if passed_std_m is None else passed_std_m
-    kept = np.exp(-np.hypot(passed_m, std_m) / turning_m)
-    square = kept * (slides.std**2 + slides.mean**2) + (1.0 - kept) * (1.0 + SLIDING_STD**2)
-    # erf(x / (σ √2)) is the chance that a normal number of mean x is positive, less the other
-    direction = _erf(passed_m / np.maximum(math.sqrt(2.0) * std_m, _LEAST_STD_M))
-    mean = kept * slides.mean + (1.0 - kept) * direction
-    return Slides(mean, np.sqrt(square - mean**2), slides.common)
+
+    length_m: Array
+    std_m: Array
 
 
-def _erf(values: Array) -> Array:
-    """The error function of each; NumPy has none."""
-    return np.vectorize(math.erf, otypes=[float])(values)
+class _Clipped(NamedTuple):
+    """Moments of a normal number that is held between -1 and 1.
+
+    Attributes:
+        mean: its mean.
+        square: the mean of its square.
+    """
+
+    mean: Array
+    square: Array
+
+
+def played(slides: Slides, passed: Passed, play_m: Array) -> Slides:
+    """Slides (G, M) after cable has passed, by the play that each guide has (G, M).
+
+    Where cable sticks nothing passes, and friction takes up what else would: the slide u goes to
+
+        u' = u + 2 x / X,    held between -1 and 1,
+
+    with what would have passed x and the play X over which u goes from -1 to 1 (`play_m`). This is
+    the play operator of a spring with Coulomb friction (Visintin, Differential Models of
+    Hysteresis, 1994, ch. III). Before it, u is 1 or -1, where cable slid one way or the other, or
+    the mean where it stuck, with the probabilities that give its mean and variance.
+    """
+    moved = 2.0 * passed.length_m / play_m
+    std = np.maximum(2.0 * passed.std_m / play_m, _LEAST_STD)
+    slid = np.minimum(slides.std**2 / np.maximum(1.0 - slides.mean**2, _LEAST_STD), 1.0)
+    forth = _clipped(1.0 + moved, std)
+    back = _clipped(moved - 1.0, std)
+    stuck = _clipped(slides.mean + moved, std)
+    forth_probability = 0.5 * slid * (1.0 + slides.mean)
+    back_probability = 0.5 * slid * (1.0 - slides.mean)
+    stuck_probability = 1.0 - slid
+    mean = (
+        forth_probability * forth.mean
+        + back_probability * back.mean
+        + stuck_probability * stuck.mean
+    )
+    square = (
+        forth_probability * forth.square
+        + back_probability * back.square
+        + stuck_probability * stuck.square
+    )
+    variance = np.maximum(square - mean**2, SLIDING_STD**2)
+    return Slides(mean, np.sqrt(variance), slides.common)
+
+
+def play_compliance_m_n(compliance_m_n: Array) -> Array:
+    """(M, G) half the play of guides by the tension that they hold, of pieces (M, G + 1).
+
+    A guide that holds a tension parts two springs, the pieces before it and those behind it. So
+    much cable has to pass that both together give that tension: a compliance in series.
+    """
+    before_m_n = compliance_m_n.cumsum(axis=1)[:, :-1]
+    behind_m_n = compliance_m_n.sum(axis=1, keepdims=True) - before_m_n
+    return before_m_n * behind_m_n / (before_m_n + behind_m_n)
+
+
+def _clipped(mean: Array, std: Array) -> _Clipped:
+    """Moments of normal numbers of these means and deviations, held between -1 and 1.
+
+    With the density φ and the probability Φ of the standard normal number, α = (-1 - m) / s and
+    β = (1 - m) / s:
+
+        E[u] = m (Φ(β) - Φ(α)) + s (φ(α) - φ(β)) + 1 - Φ(β) - Φ(α)
+        E[u²] = (m² + s²) (Φ(β) - Φ(α)) + s ((m - 1) φ(α) - (m + 1) φ(β)) + 1 - Φ(β) + Φ(α)
+    """
+    low = (-1.0 - mean) / std
+    high = (1.0 - mean) / std
+    below = _probability_below(low)
+    above = 1.0 - _probability_below(high)
+    between = 1.0 - below - above
+    low_density = _density(low)
+    high_density = _density(high)
+    by_density = (mean - 1.0) * low_density - (mean + 1.0) * high_density
+    return _Clipped(
+        mean=mean * between + std * (low_density - high_density) + above - below,
+        square=(mean**2 + std**2) * between + std * by_density + above + below,
+    )
+
+
+def _density(values: Array) -> Array:
+    """Of the standard normal number."""
+    return np.exp(-0.5 * values**2) / math.sqrt(2.0 * math.pi)
+
+
+def _probability_below(values: Array) -> Array:
+    """That the standard normal number is below; NumPy has no error function."""
+    return np.vectorize(math.erfc, otypes=[float])(-values / math.sqrt(2.0)) / 2.0

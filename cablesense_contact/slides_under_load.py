@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import CableRoutes
-from cablesense_contact.slides import SLIDING_STD, Slides, turned
+from cablesense_contact.slides import SLIDING_STD, Passed, Slides, play_compliance_m_n, played
 
 _RETURNED_STD = 0.6
 """Of all slides together once a load was taken off, in the direction of the load: friction holds
@@ -33,9 +33,6 @@ _FIRM_SHARE = 0.1
 _PASSED_SHARE = 0.12
 """How far off what has passed a guide may be, as a share of the most that has passed any: while
 much passes others, a cable may slide there and back."""
-_ASTRAY = 0.2
-"""Probability that what is computed of a guide behind the first is wrong altogether: slopes are
-those of the command, and on a machine whose cables turn far every guide holds the next one's."""
 _SMOOTHED = 16
 """Readings of which the mean is followed while they do not change, that is by no more than"""
 _STEADY_SHARE = 0.6
@@ -48,6 +45,8 @@ _LEAST_INFORMATION_SHARE = 1e-9
 _LEAST_INFORMATION_M2 = 1e-12
 """Added to the information of how joints give way, as a share of all of it and at the least, so
 that it has an inverse."""
+_LEAST_PLAY_M = 1e-12
+"""Play of a guide over which a cable goes straight: something is divided by it."""
 _LEAST_HELD_N = 1e-9
 """Tension that friction at the first guide holds, at the least: something is divided by it."""
 
@@ -55,21 +54,24 @@ _LEAST_HELD_N = 1e-9
 class SlidesAtPose:
     """What changes of readings say of slides, with the machine at one command."""
 
-    def __init__(self, routes: CableRoutes, command: Array, turning_m: Array) -> None:
-        """For a command (C,), with the ways (M, G) over which cables turn to slide back."""
+    def __init__(self, routes: CableRoutes, command: Array) -> None:
+        """For a command (C,)."""
         self._slope_m = routes.slope_m(command)
         self._by_coordinate = self._slope_m.sum(axis=1)
         self._run_m_n = routes.compliance_m_n[:, 0]
         self._pieces_m_n = routes.compliance_m_n[:, 1:]
         self._behind_m_n = self._pieces_m_n.sum(axis=1)
-        self._first_wrap_rad = routes.wrap_rad[:, 0]
+        wrap_rad = routes.wrap_rad(command)
+        later_wrap_rad = wrap_rad[:, 1:]
+        self._first_wrap_rad = wrap_rad[:, 0]
+        self._wrap_so_far_rad = later_wrap_rad.cumsum(axis=1)
+        self._returning = routes.returning
+        self._play_m_n = 2.0 * later_wrap_rad * play_compliance_m_n(routes.compliance_m_n)[:, 1:]
         # up to each piece behind the first guide, of independent slides at those between
-        later_bends_rad = routes.bends_rad(command)[:, 1:]
-        up_to_piece_rad = np.sqrt((later_bends_rad**2).cumsum(axis=1))
+        up_to_piece_rad = np.sqrt((later_wrap_rad**2).cumsum(axis=1))
         self._later_wrap_rad = np.concatenate(
             [np.zeros((len(up_to_piece_rad), 1)), up_to_piece_rad], axis=1
         )
-        self._guides_turn_m = turning_m[:, 1:].T
 
     def changed(
         self,
@@ -129,7 +131,12 @@ class SlidesAtPose:
         stands_std_n = np.minimum(taken_std_m / self._behind_m_n, held_n)
         behind_std_n = np.where(moved, std_n, stands_std_n)
         passed_std_m = self._passed_std_m(passed_m, behind_std_n, later_std_m, gave_way_covariance)
-        guides = _doubted(turned(earlier, passed_m.T, self._guides_turn_m, passed_std_m.T))
+        held_m = (
+            max(friction, _LEAST_FRICTION) * self._play_m_n * np.maximum(now_n, moved_n)[:, None]
+        )
+        play_m = np.maximum(held_m, _LEAST_PLAY_M)
+        guides = played(earlier, Passed(passed_m.T, passed_std_m.T), play_m.T)
+        guides = self._doubted(guides, friction)
         slid_std = self._slid_std(change_n, held_n)
         stands_std = np.hypot(SLIDING_STD, stands_std_n / held_n)
         pulley_std = np.where(moved, slid_std, stands_std)
@@ -156,6 +163,18 @@ class SlidesAtPose:
         of_path_m = _PASSED_SHARE * np.abs(passed_m).max()
         return np.sqrt(of_way_m2 + of_behind_m**2 + of_later_m**2 + of_path_m**2)
 
+    def _doubted(self, slides: Slides, friction: float) -> Slides:
+        """Slides (G - 1, M) of guides that see the more another tension the further back they are.
+
+        Tensions behind a guide are taken to change as before it. Where the cable slides they
+        change by exp(-μ Φ) of that: by this probability the slide is as computed, else anything
+        from -1 to 1. So it may be where cables slide there and back on their way.
+        """
+        sure = (1.0 - self._returning) * np.exp(-friction * self._wrap_so_far_rad.T)
+        mean = sure * slides.mean
+        square = sure * (slides.mean**2 + slides.std**2) + (1.0 - sure) / 3.0
+        return Slides(mean, np.sqrt(square - mean**2), slides.common)
+
     def _slid_std(self, change_n: Array, held_n: Array) -> Array:
         """(M,) deviations of the slides of cables that have slid while readings changed.
 
@@ -166,14 +185,6 @@ class SlidesAtPose:
         small = np.abs(change_n) < _FIRM_SHARE * largest_n
         turned_back = small * _TURNED_BACK_SHARE * largest_n / held_n
         return np.minimum(np.hypot(SLIDING_STD, turned_back), 1.0)
-
-
-def _doubted(slides: Slides) -> Slides:
-    """Slides (G, M) that with some probability are anything from -1 to 1."""
-    sure = 1.0 - _ASTRAY
-    mean = sure * slides.mean
-    square = sure * (slides.mean**2 + slides.std**2) + _ASTRAY / 3.0
-    return Slides(mean, np.sqrt(square - mean**2), slides.common)
 
 
 @dataclass(frozen=True)
