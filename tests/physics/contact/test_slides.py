@@ -9,11 +9,18 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_contact.arm_routes import arm_slides
-from cablesense_contact.cable_slides import LastWay
-from cablesense_contact.slides import Belief, Slides
+from cablesense_contact.cable_slides import CableSlides, LastWay
+from cablesense_contact.slides import (
+    SLIDING_STD,
+    Belief,
+    Passed,
+    Slides,
+    play_compliance_m_n,
+    played,
+)
 from cablesense_plants.arm import statics
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
-from cablesense_sim.arm import open_arm
+from cablesense_sim.arm import ListedEffect, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.uncertain_arm import arm_parameters
 from tests.helpers.plant_arm import NOMINAL
@@ -39,6 +46,13 @@ def with_friction(coefficient: float) -> Belief:
     mean = PARAMETERS.prior_mean.copy()
     mean[FRICTION] = coefficient
     return Belief(mean, np.zeros((COUNT, COUNT)))
+
+
+def listing_friction(coefficient: float) -> CableSlides:
+    """The slides of the arm whose file lists its friction, with a pulley of one radian."""
+    parameters = {"coefficient": coefficient, "pulley_wrap_rad": 1.0, "run_compliance": 0.5}
+    entry = ListedEffect(effect="capstan_friction", parameters=parameters)
+    return arm_slides(ARM.model_copy(update={"effects": [entry]}))
 
 
 def some_slides(rng: np.random.Generator) -> Slides:
@@ -97,6 +111,79 @@ def test_only_the_last_of_a_way_counts():
         way = way.to(np.array([np.deg2rad(angle_deg)]))
     assert_allclose(np.rad2deg(way.came_from_rad), [5.0])
     assert way.forgotten.came_from_rad is None
+
+
+def test_where_nothing_passes_a_slide_stays():
+    """Within what is always unsure of one that has slid."""
+    rng = np.random.default_rng(8)
+    mean = rng.uniform(-1.0, 1.0, (3, 4))
+    std = rng.uniform(SLIDING_STD, 1.0, mean.shape) * np.sqrt(1.0 - mean**2)
+    std = np.maximum(std, SLIDING_STD)
+    before = Slides(mean, std, np.zeros_like(mean))
+    after = played(before, Passed(np.zeros_like(mean), np.zeros_like(mean)), np.full((3, 4), 1e-5))
+    possible = std**2 <= 1.0 - mean**2
+    assert_allclose(after.mean, mean, atol=1e-9)
+    assert_allclose(after.std[possible], std[possible], rtol=1e-6)
+
+
+def test_the_play_is_used_up_on_the_way_back():
+    """From one slide to the other over the play; within it, in proportion to what has passed."""
+    forth = Slides(np.ones((1, 5)), np.full((1, 5), SLIDING_STD), np.zeros((1, 5)))
+    back_m = -1e-5 * np.array([[0.0, 0.25, 0.5, 1.0, 3.0]])
+    after = played(forth, Passed(back_m, np.zeros_like(back_m)), np.full((1, 5), 1e-5))
+    assert_allclose(after.mean, [[1.0, 0.5, 0.0, -1.0, -1.0]], atol=1e-9)
+    assert_allclose(after.std, SLIDING_STD)
+
+
+def test_moments_of_a_slide_are_those_of_draws():
+    """Of a cable that slid one way or the other, or stuck, and of what passed, roughly known."""
+    rng = np.random.default_rng(9)
+    draws = 400_000
+    for mean, std, passed_m, passed_std_m in (
+        (0.3, 0.5, 2e-6, 3e-6),
+        (-0.9, 0.2, 8e-6, 4e-6),
+        (0.0, 1.0, -1e-6, 1e-7),
+    ):
+        slid = rng.random(draws) < std**2 / (1.0 - mean**2)
+        direction = np.where(rng.random(draws) < 0.5 * (1.0 + mean), 1.0, -1.0)
+        before = np.where(slid, direction, mean)
+        drawn_m = passed_m + passed_std_m * rng.normal(size=draws)
+        drawn = np.clip(before + 2.0 * drawn_m / 1e-5, -1.0, 1.0)
+        stated = Slides(*(np.full((1, 1), value) for value in (mean, std, 0.0)))
+        passed = Passed(np.full((1, 1), passed_m), np.full((1, 1), passed_std_m))
+        after = played(stated, passed, np.full((1, 1), 1e-5))
+        assert_allclose(after.mean, drawn.mean(), atol=5e-3)
+        assert_allclose(after.std, drawn.std(), atol=5e-3)
+
+
+def test_pieces_beside_a_guide_are_springs_in_series():
+    compliance_m_n = np.array([[1.0, 2.0, 3.0]])
+    assert_allclose(play_compliance_m_n(compliance_m_n), [[5.0 / 6.0, 1.5]])
+
+
+@pytest.mark.slow
+def test_small_motions_leave_the_slides_of_the_plant():
+    """Many guides stick halfway, as they do not slide over the whole of their play."""
+    friction = 0.15
+    rng = np.random.default_rng(10)
+    built = BuiltArm(NOMINAL, Workmanship().scaled(0.0), rng, friction=friction)
+    listed = listing_friction(friction)
+    walk = built.walk(np.zeros(8))
+    command = np.full(8, 0.1)
+    walk.go(command)
+    by_std_at_pulleys: list[float] = []
+    off_at_plates: list[float] = []
+    for _ in range(12):
+        before = command
+        command = np.clip(command + np.deg2rad(rng.uniform(-2.0, 2.0, 8)), -0.17, 0.17)
+        walk.go(command)
+        slides = listed.after_motion(before, command)
+        plates = at_plates(walk, friction)
+        off = at_pulleys(walk, friction) - slides.mean[0]
+        by_std_at_pulleys.extend(off / slides.std[0])
+        off_at_plates.extend((plates.slide - slides.mean[1:])[plates.exists])
+    assert np.sqrt(np.mean(np.square(by_std_at_pulleys))) < 1.0
+    assert np.sqrt(np.mean(np.square(off_at_plates))) < 0.2  # two plates, taken as one guide
 
 
 @pytest.mark.slow
