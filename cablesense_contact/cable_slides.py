@@ -22,7 +22,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import CableRoutes
-from cablesense_contact.slides import Belief, Passed, Slides, play_compliance_m_n, played
+from cablesense_contact.slides import Belief, KnownLengths, Slides, play_compliance_m_n, played
 from cablesense_contact.slides_under_load import SlidesAtPose, SlidesUnderLoad
 from cablesense_sim.parameter_groups import GroupedParameters
 
@@ -119,8 +119,8 @@ class CableSlides:
         # parameters of a machine without friction may have no guides at all
         shape = (pieces - 1 if friction.exists.size else 0, cables)
         nothing = np.zeros(shape)
-        self.unknown = Slides(nothing, np.ones(shape), nothing)
-        self.freed = Slides(nothing, np.full(shape, _FREED_STD), nothing)
+        self.unknown = Slides(nothing, np.ones(shape))
+        self.freed = Slides(nothing, np.full(shape, _FREED_STD))
         self._pretension_n = float(np.max(routes.pretension_n, initial=0.0))
         play_m_n = play_compliance_m_n(routes.compliance_m_n)
         self._play_m_rad = 2.0 * friction.expected * routes.pretension_n[:, None] * play_m_n
@@ -138,8 +138,8 @@ class CableSlides:
         wrap_rad = 0.5 * (way.wrap_rad[1:] + way.wrap_rad[:-1])
         for passed_m, turned_rad in zip(np.diff(behind_m, axis=0), wrap_rad, strict=True):
             play_m = np.maximum(self._play_m_rad * turned_rad, _LEAST_PLAY_M)
-            surely_m = Passed(passed_m.T, np.zeros_like(passed_m.T))
-            slides = played(slides, surely_m, play_m.T)
+            passed = KnownLengths(passed_m.T, np.zeros_like(passed_m.T))
+            slides = played(slides, passed, play_m.T)
         return slides
 
     def matter(self, known: Belief) -> bool:
@@ -169,11 +169,8 @@ class CableSlides:
         """Slides to a sixteenth, and a key of them: nearly the same ones are one."""
         mean = np.rint(slides.mean / _SAME_SLIDE_STEP)
         std = np.maximum(np.rint(slides.std / _SAME_SLIDE_STEP), 1.0)
-        common = np.rint(slides.common / _SAME_SLIDE_STEP)
-        key = b"".join(part.astype(np.int8).tobytes() for part in (mean, std, common))
-        return key, Slides(
-            _SAME_SLIDE_STEP * mean, _SAME_SLIDE_STEP * std, _SAME_SLIDE_STEP * common
-        )
+        key = b"".join(part.astype(np.int8).tobytes() for part in (mean, std))
+        return key, Slides(_SAME_SLIDE_STEP * mean, _SAME_SLIDE_STEP * std)
 
     def carried(self, known: Belief, slides: Slides) -> Belief:
         """What is known with these slides: the mean and covariance of what friction carries."""
@@ -187,9 +184,7 @@ class CableSlides:
         with_others = np.outer(slide, of_coefficient)
         covariance[part] = with_others
         covariance[:, part] = with_others.T
-        common = slides.common.ravel() * self._exists
         together = of_coefficient[self._coefficient] * np.outer(slide, slide)
-        together += self._mean_square(known) * np.outer(common, common)
         covariance[part, part] = together + np.diag(self.alone(known, slides))
         return Belief(mean, covariance)
 

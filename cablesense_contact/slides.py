@@ -33,24 +33,22 @@ class Slides(NamedTuple):
 
     Attributes:
         mean: (G, M), from -1 to 1.
-        std: (G, M), independent of one another, and
-        common: (G, M) what all are off by together, times a standard normal number.
+        std: (G, M), independent of one another.
     """
 
     mean: Array
     std: Array
-    common: Array
 
 
-class Passed(NamedTuple):
-    """What would pass M cables over their G guides if these did not hold them.
+class KnownLengths(NamedTuple):
+    """Lengths of cable, as well as they are known.
 
     Attributes:
-        length_m: (G, M), towards the arm if positive.
-        std_m: (G, M) how far off that may be.
+        mean_m: the lengths.
+        std_m: how far off they may be.
     """
 
-    length_m: Array
+    mean_m: Array
     std_m: Array
 
 
@@ -66,19 +64,20 @@ class _Clipped(NamedTuple):
     square: Array
 
 
-def played(slides: Slides, passed: Passed, play_m: Array) -> Slides:
+def played(slides: Slides, passed: KnownLengths, play_m: Array) -> Slides:
     """Slides (G, M) after cable has passed, by the play that each guide has (G, M).
 
-    Where cable sticks nothing passes, and friction takes up what else would: the slide u goes to
+    `passed` (G, M) is what would have passed without friction, towards the arm if positive. Where
+    cable sticks nothing passes, and friction takes up what else would: the slide u goes to
 
         u' = u + 2 x / X,    held between -1 and 1,
 
     with what would have passed x and the play X over which u goes from -1 to 1 (`play_m`). This is
     the play operator of a spring with Coulomb friction (Visintin, Differential Models of
-    Hysteresis, 1994, ch. III). Before it, u is 1 or -1, where cable slid one way or the other, or
+    Hysteresis, 1994). Before it, u is 1 or -1, where cable slid one way or the other, or
     the mean where it stuck, with the probabilities that give its mean and variance.
     """
-    moved = 2.0 * passed.length_m / play_m
+    moved = 2.0 * passed.mean_m / play_m
     std = np.maximum(2.0 * passed.std_m / play_m, _LEAST_STD)
     slid = np.minimum(slides.std**2 / np.maximum(1.0 - slides.mean**2, _LEAST_STD), 1.0)
     forth = _clipped(1.0 + moved, std)
@@ -98,7 +97,7 @@ def played(slides: Slides, passed: Passed, play_m: Array) -> Slides:
         + stuck_probability * stuck.square
     )
     variance = np.maximum(square - mean**2, SLIDING_STD**2)
-    return Slides(mean, np.sqrt(variance), slides.common)
+    return Slides(mean, np.sqrt(variance))
 
 
 def play_compliance_m_n(compliance_m_n: Array) -> Array:

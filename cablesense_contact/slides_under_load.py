@@ -14,17 +14,21 @@ stand for it have no derivation: they were chosen on arms of the plant with fric
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.cable_routes import CableRoutes
-from cablesense_contact.slides import SLIDING_STD, Passed, Slides, play_compliance_m_n, played
+from cablesense_contact.slides import (
+    SLIDING_STD,
+    KnownLengths,
+    Slides,
+    play_compliance_m_n,
+    played,
+)
 
-_RETURNED_STD = 0.6
-"""Of all slides together once a load was taken off, in the direction of the load: friction holds
-a part of it."""
 _TURNED_BACK_SHARE = 0.02
 """How far the tension behind a pulley may have gone back since cable slid there, as a share of the
 largest change of a reading."""
@@ -51,6 +55,13 @@ _LEAST_HELD_N = 1e-9
 """Tension that friction at the first guide holds, at the least: something is divided by it."""
 
 
+class _Yielding(NamedTuple):
+    """How the joints have given way to a load: mean (n,) and covariance (n, n)."""
+
+    mean: Array
+    covariance: Array
+
+
 class SlidesAtPose:
     """What changes of readings say of slides, with the machine at one command."""
 
@@ -66,7 +77,7 @@ class SlidesAtPose:
         self._first_wrap_rad = wrap_rad[:, 0]
         self._wrap_so_far_rad = later_wrap_rad.cumsum(axis=1)
         self._returning = routes.returning
-        self._play_m_n = 2.0 * later_wrap_rad * play_compliance_m_n(routes.compliance_m_n)[:, 1:]
+        self._play_m_rad = 2.0 * later_wrap_rad * play_compliance_m_n(routes.compliance_m_n)[:, 1:]
         # up to each piece behind the first guide, of independent slides at those between
         up_to_piece_rad = np.sqrt((later_wrap_rad**2).cumsum(axis=1))
         self._later_wrap_rad = np.concatenate(
@@ -81,7 +92,6 @@ class SlidesAtPose:
         moved: NDArray[np.bool_],
         moved_n: float,
         friction: float,
-        common: Array,
     ) -> Slides:
         """The slides after readings have changed.
 
@@ -92,72 +102,74 @@ class SlidesAtPose:
             moved: (M,) which cables have moved since.
             moved_n: change that shows that.
             friction: its coefficient, as known.
-            common: (G, M) of the slides.
         """
-        change_n = now_n - before_n
         if not moved.any():
             return before
+        coefficient = max(friction, _LEAST_FRICTION)
+        change_n = now_n - before_n
+        holding_n_rad = coefficient * np.maximum(now_n, moved_n)
+        holding_n = np.maximum(holding_n_rad * self._first_wrap_rad, _LEAST_HELD_N)
         # tensions behind the first guide, by which the pieces there stretch: known where it slides
         slid = np.where(moved, np.sign(change_n), before.mean[0])
         carried = friction * self._first_wrap_rad
         behind_n = now_n * np.exp(carried * slid) - before_n * np.exp(carried * before.mean[0])
-        held_n_rad = max(friction, _LEAST_FRICTION) * np.maximum(now_n, moved_n)
-        held_n = np.maximum(held_n_rad * self._first_wrap_rad, _LEAST_HELD_N)
-        std_n = np.where(moved, moved_n + SLIDING_STD * held_n, moved_n + held_n)
-        longer_m = self._run_m_n * change_n + self._behind_m_n * behind_n
+        behind_std_n = moved_n + np.where(moved, SLIDING_STD, 1.0) * holding_n
         # what the other guides carry is not known here: of each piece behind them
-        later_std_n = held_n_rad[:, None] * self._later_wrap_rad
-        later_std_m = self._pieces_m_n * later_std_n
-        longer_std_m = np.hypot(self._behind_m_n * std_n, later_std_m.sum(axis=1))
-        weight = (np.minimum(before_n, now_n) > moved_n) / longer_std_m
-        # the joints have given way by as much as the cables got longer
+        later_std_m = self._pieces_m_n * holding_n_rad[:, None] * self._later_wrap_rad
+        longer = KnownLengths(
+            self._run_m_n * change_n + self._behind_m_n * behind_n,
+            np.hypot(self._behind_m_n * behind_std_n, later_std_m.sum(axis=1)),
+        )
+        is_taut = np.minimum(before_n, now_n) > moved_n
+        yielding = self._yielding(longer, is_taut)
+        taken_m = self._slope_m[:, 1:] @ yielding.mean
+        # a cable that stands at its first guide: what its pieces take up, it stretches behind
+        run_m = self._run_m_n * change_n
+        stretched_n = (taken_m.sum(axis=1) - run_m) / self._behind_m_n
+        stands = np.clip(before.mean[0] + stretched_n / holding_n, -1.0, 1.0)
+        stands_std_n = np.minimum(self._taken_std_m(yielding) / self._behind_m_n, holding_n)
+        behind_n = np.where(moved, behind_n, holding_n * (stands - before.mean[0]))
+        behind_std_n = np.where(moved, behind_std_n, stands_std_n)
+        # what the pieces before a guide stretch, and do not take up, would pass it
+        between_m = self._pieces_m_n * behind_n[:, None] - taken_m
+        passed_m = run_m[:, None] + between_m[:, :-1].cumsum(axis=1)
+        passed_std_m = self._passed_std_m(passed_m, behind_std_n, later_std_m, yielding)
+        play_m = np.maximum(self._play_m_rad * holding_n_rad[:, None], _LEAST_PLAY_M)
+        earlier = Slides(before.mean[1:], before.std[1:])
+        guides = played(earlier, KnownLengths(passed_m.T, passed_std_m.T), play_m.T)
+        guides = self._doubted(guides, friction)
+        stands_std = np.hypot(SLIDING_STD, stands_std_n / holding_n)
+        first_mean = np.where(moved, slid, stands)
+        first_std = np.where(moved, self._slid_std(change_n, holding_n), stands_std)
+        return Slides(np.vstack([first_mean, guides.mean]), np.vstack([first_std, guides.std]))
+
+    def _yielding(self, longer: KnownLengths, is_taut: NDArray[np.bool_]) -> _Yielding:
+        """How the joints gave way, (n,) and (n, n), by how much longer cables (M,) have got."""
+        weight = is_taut / longer.std_m
         weighted = weight[:, None] * self._by_coordinate
-        gave_way = np.linalg.lstsq(weighted, weight * longer_m, rcond=None)[0]
+        mean = np.linalg.lstsq(weighted, weight * longer.mean_m, rcond=None)[0]
         information = weighted.T @ weighted
         # where no taut cable tells how a joint gave way, it may be anything
         least = _LEAST_INFORMATION_SHARE * np.trace(information) + _LEAST_INFORMATION_M2
-        gave_way_covariance = np.linalg.inv(information + least * np.eye(len(information)))
-        taken_m = self._slope_m[:, 1:] @ gave_way
-        # a cable that stands at its first guide: what its pieces take up, it stretches behind
-        stands_n = (taken_m.sum(axis=1) - self._run_m_n * change_n) / self._behind_m_n
-        stands = np.clip(before.mean[0] + stands_n / held_n, -1.0, 1.0)
-        behind_n = np.where(moved, behind_n, held_n * (stands - before.mean[0]))
-        # what the pieces before a guide stretch, and do not take up, has passed it
-        between_m = self._pieces_m_n * behind_n[:, None] - taken_m
-        passed_m = (self._run_m_n * change_n)[:, None] + between_m[:, :-1].cumsum(axis=1)
-        earlier = Slides(before.mean[1:], before.std[1:], before.common[1:])
-        all_taken_m = self._slope_m[:, 1:].sum(axis=1)
-        taken_std_m = np.sqrt(((all_taken_m @ gave_way_covariance) * all_taken_m).sum(axis=1))
-        stands_std_n = np.minimum(taken_std_m / self._behind_m_n, held_n)
-        behind_std_n = np.where(moved, std_n, stands_std_n)
-        passed_std_m = self._passed_std_m(passed_m, behind_std_n, later_std_m, gave_way_covariance)
-        held_m = (
-            max(friction, _LEAST_FRICTION) * self._play_m_n * np.maximum(now_n, moved_n)[:, None]
-        )
-        play_m = np.maximum(held_m, _LEAST_PLAY_M)
-        guides = played(earlier, Passed(passed_m.T, passed_std_m.T), play_m.T)
-        guides = self._doubted(guides, friction)
-        slid_std = self._slid_std(change_n, held_n)
-        stands_std = np.hypot(SLIDING_STD, stands_std_n / held_n)
-        pulley_std = np.where(moved, slid_std, stands_std)
-        return Slides(
-            np.vstack([np.where(moved, slid, stands), guides.mean]),
-            np.vstack([pulley_std, guides.std]),
-            common,
-        )
+        return _Yielding(mean, np.linalg.inv(information + least * np.eye(len(information))))
+
+    def _taken_std_m(self, yielding: _Yielding) -> Array:
+        """(M,) deviations of what the pieces behind the first guide take up together."""
+        by_way = self._slope_m[:, 1:].sum(axis=1)
+        return np.sqrt(((by_way @ yielding.covariance) * by_way).sum(axis=1))
 
     def _passed_std_m(
-        self, passed_m: Array, behind_std_n: Array, later_std_m: Array, gave_way_covariance: Array
+        self, passed_m: Array, behind_std_n: Array, later_std_m: Array, yielding: _Yielding
     ) -> Array:
         """(M, G - 1) deviations of what has passed the guides behind the first.
 
         By those of the tensions behind the first (M,) and of what pieces stretch by the others
-        (M, G), by the covariance (n, n) of how the joints gave way, and by what passed on the way
+        (M, G), by how the joints gave way, and by what passed on the way
         and came back.
         """
         by_behind_m_n = self._pieces_m_n[:, :-1].cumsum(axis=1)
         by_way = self._slope_m[:, 1:-1].cumsum(axis=1)
-        of_way_m2 = ((by_way @ gave_way_covariance) * by_way).sum(axis=2)
+        of_way_m2 = ((by_way @ yielding.covariance) * by_way).sum(axis=2)
         of_behind_m = by_behind_m_n * behind_std_n[:, None]
         of_later_m = later_std_m[:, :-1].cumsum(axis=1)
         of_path_m = _PASSED_SHARE * np.abs(passed_m).max()
@@ -173,9 +185,9 @@ class SlidesAtPose:
         sure = (1.0 - self._returning) * np.exp(-friction * self._wrap_so_far_rad.T)
         mean = sure * slides.mean
         square = sure * (slides.mean**2 + slides.std**2) + (1.0 - sure) / 3.0
-        return Slides(mean, np.sqrt(square - mean**2), slides.common)
+        return Slides(mean, np.sqrt(square - mean**2))
 
-    def _slid_std(self, change_n: Array, held_n: Array) -> Array:
+    def _slid_std(self, change_n: Array, holding_n: Array) -> Array:
         """(M,) deviations of the slides of cables that have slid while readings changed.
 
         Where a reading has changed little while others changed much, the tension may have gone up
@@ -183,7 +195,7 @@ class SlidesAtPose:
         """
         largest_n = np.abs(change_n).max()
         small = np.abs(change_n) < _FIRM_SHARE * largest_n
-        turned_back = small * _TURNED_BACK_SHARE * largest_n / held_n
+        turned_back = small * _TURNED_BACK_SHARE * largest_n / holding_n
         return np.minimum(np.hypot(SLIDING_STD, turned_back), 1.0)
 
 
@@ -201,7 +213,6 @@ class SlidesUnderLoad:
         slides: at the last reading.
         turn_n: (M,) readings at the last turn, or of the untouched arm, and
         at_turn: the slides then.
-        common: (G, M) what all slides are off by together since.
         moved: (M,) which cables have moved since.
         followed_n: (M,) the readings of which `slides` are.
         steady_n, steady_count: (M,) mean of the last readings that do not change, and how many.
@@ -216,7 +227,6 @@ class SlidesUnderLoad:
     slides: Slides
     turn_n: Array
     at_turn: Slides
-    common: Array
     moved: NDArray[np.bool_]
     followed_n: Array
     steady_n: Array
@@ -243,7 +253,6 @@ class SlidesUnderLoad:
             slides=arrived,
             turn_n=untouched_n,
             at_turn=arrived,
-            common=np.zeros_like(arrived.mean),
             moved=np.zeros(cables, dtype=bool),
             followed_n=untouched_n,
             steady_n=untouched_n,
@@ -265,24 +274,19 @@ class SlidesUnderLoad:
         turn_n = self.turn_n
         at_turn = self.at_turn
         moved = self.moved
-        common = self.common
         if turns_back.any():
             first = int(np.argmax(np.abs(off_n) * turns_back))
             turn_n = self.at_outermost_n[first]
             at_turn = self.slides
             moved = np.zeros_like(self.moved)
-            common = np.tile(_RETURNED_STD * self.way, (len(self.slides.mean), 1))
         moved = moved | (np.abs(now_n - turn_n) > self.moved_n)
-        slides = self.pose.changed(
-            at_turn, turn_n, now_n, moved, self.moved_n, self.friction, common
-        )
+        slides = self.pose.changed(at_turn, turn_n, now_n, moved, self.moved_n, self.friction)
         further = turns | (off_n * self.way > 0.0)
         return replace(
             smoothed,
             slides=slides,
             turn_n=turn_n,
             at_turn=at_turn,
-            common=common,
             moved=moved,
             followed_n=now_n,
             way=np.where(turns, np.sign(off_n), self.way),
