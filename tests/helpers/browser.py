@@ -33,21 +33,54 @@ FLAGS = (
     "--window-size=1600,900",
     "about:blank",
 )
+CHEAP = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
+"""For tests: pictures whose edges are not smoothed, at a fraction of the processor time."""
 PATIENCE_S = 150.0
 WIDTH = 960
 HEIGHT = 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
 
+PICTURE_MS = 600
+"""Between pictures; a viewer of more than two a second changes how coarse they are."""
+SLOW_DISPLAY = f"""(() => {{
+    const request = window.requestAnimationFrame.bind(window);
+    let asked = new Map();
+    let count = 0;
+    const draw = time => {{
+        const due = asked;
+        asked = new Map();
+        for (const callback of due.values()) callback(time);
+    }};
+    window.requestAnimationFrame = callback => {{
+        if (asked.size === 0) setTimeout(() => request(draw), {PICTURE_MS});
+        asked.set(++count, callback);
+        return count;
+    }};
+    window.cancelAnimationFrame = handle => asked.delete(handle);
+}})()"""
+"""As on a slow display: Chromium, which renders in software, would keep a processor busy with
+pictures that nobody looks at.
+"""
+
+
+PICTURES = """new Promise(done => {
+    let left = %d;
+    const draw = () => left-- > 0 ? requestAnimationFrame(draw) : done(true);
+    draw();
+})"""
 BUTTON = "[...document.querySelectorAll('button')].find(b => b.textContent.trim() === '%s')"
 
 
 class Tab:
     """One tab of a headless Chromium, driven through the DevTools protocol."""
 
-    def __init__(self, address):
+    def __init__(self, address, *, cheap=True):
         self._socket = connect(address, max_size=None)
         self._count = 0
+        if cheap:
+            self.call("Page.enable")
+            self.call("Page.addScriptToEvaluateOnNewDocument", source=SLOW_DISPLAY)
         self.resize(WIDTH, HEIGHT)
 
     def resize(self, width, height):
@@ -90,7 +123,7 @@ class Tab:
         assert self.has_button(label), f"no button {label!r}"
         self.evaluate(f"{BUTTON % label}.click()")
 
-    def press(self, slider, key, held_s=0.0):
+    def press(self, slider, key, pictures=0):
         """A key on a slider, found by its label: a busy page leaves some of many out."""
         focused = self.evaluate(
             "(() => { const label = [...document.querySelectorAll('label')]"
@@ -99,13 +132,17 @@ class Tab:
             " if (at) at.querySelector('[role=slider]').focus(); return !!at; })()"
         )
         assert focused, f"no slider {slider!r}"
-        self.hold(key, held_s)
+        self.hold(key, pictures)
 
-    def hold(self, key, seconds):
-        """A key, wherever the focus is."""
+    def hold(self, key, pictures):
+        """A key, wherever the focus is, until the page has drawn."""
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key)
-        time.sleep(seconds)
+        self.wait_for_pictures(pictures)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key, code=key)
+
+    def wait_for_pictures(self, count=3):
+        """Until the page has drawn: what came before the first of them is in the last."""
+        assert self.evaluate(PICTURES % count)
 
     def mouse(self, kind, x, y, *, held=True):
         """Move, press or release the left button at a point of the page, px."""
@@ -122,11 +159,12 @@ class Tab:
 
 
 class Browser(Tab):
-    """A headless Chromium, and its first tab."""
+    """A headless Chromium, and its first tab; a picture for people is not to be `cheap`."""
 
-    def __init__(self, program, profile):
+    def __init__(self, program, profile, *, cheap=True):
+        flags = (*CHEAP, *FLAGS) if cheap else FLAGS
         self._process = subprocess.Popen(
-            [program, f"--user-data-dir={profile}", *FLAGS],
+            [program, f"--user-data-dir={profile}", *flags],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -142,7 +180,8 @@ class Browser(Tab):
         self._tabs = f"http://{address[1]}/json"
         with urllib.request.urlopen(self._tabs) as answer:
             tabs = json.load(answer)
-        super().__init__(next(t for t in tabs if t["type"] == "page")["webSocketDebuggerUrl"])
+        (address, *_) = (tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+        super().__init__(address, cheap=cheap)
 
     def new_tab(self, url):
         """Another tab, that shows a page."""

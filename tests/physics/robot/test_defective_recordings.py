@@ -56,7 +56,7 @@ def test_the_chosen_topic_and_joints_with_colons_give_the_verdict(tmp_path, tabl
     arguments = ["gap", "diagnose", bag, "--model", model, "--out", tmp_path / "out"]
     refused = CliRunner().invoke(app, list(map(str, arguments)))
     assert "/left/joint_states" in str(refused.exception)
-    arguments += ["--topic", "/right/joint_states"]
+    arguments += ["--topic", "/right/joint_states", "--workers", "1"]
     done = CliRunner().invoke(app, list(map(str, arguments)))
     assert done.exit_code == 0, done.exception
     assert "Joint states are those of /right/joint_states." in done.output

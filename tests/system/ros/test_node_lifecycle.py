@@ -84,8 +84,7 @@ def test_a_replay_knows_every_topic_that_a_live_estimator_takes(make_node):
     """Forgotten in `REPLAYED_FROM`, a new input would be missing from every replay."""
     node = make_node(EstimatorNode, given={"autostart": True})
     node.autostart()
-    look = node.get_subscriber_names_and_types_by_node
-    taken = {topic for topic, _ in look(node.get_name(), node.get_namespace())}
+    taken = {one.topic_name for one in node.subscriptions}
     of_arms = REPLAYED_FROM.keys() - {topics.JOINT_STATES}  # of machines with measured joints
     assert taken - {"/parameter_events", "/clock"} == {resolved(topic) for topic in of_arms}
 
@@ -101,14 +100,17 @@ def test_a_replay_knows_every_topic_that_a_live_estimator_takes(make_node):
 def test_a_node_offers_the_quality_that_the_table_of_topics_has(make_node, kind, given):
     node = make_node(kind, given=given)
     getattr(node, "autostart", lambda: None)()
-    names = node.get_publisher_names_and_types_by_node(node.get_name(), node.get_namespace())
-    published = {name: recorded_topic(name) for name, _ in names}
+    published = {one.topic_name: recorded_topic(one.topic_name) for one in node.publishers}
     known = {name: topic for name, topic in published.items() if topic}
     assert known
-    for name, topic in known.items():
+
+    def offered(name):
+        """The qualities of the node's own publishers of a topic that the graph knows."""
         publishers = node.get_publishers_info_by_topic(name)
-        own = [one.qos_profile for one in publishers if one.node_name == node.get_name()]
-        assert own, name
+        return [one.qos_profile for one in publishers if one.node_name == node.get_name()]
+
+    for name, topic in known.items():
+        own = until(lambda name=name: offered(name), name)  # the graph follows a moment later
         listed = RECORDED_TOPICS[topic].offered
         for offers in own:
             assert (offers.reliability == ReliabilityPolicy.RELIABLE) is listed.reliable
@@ -269,7 +271,7 @@ def test_depth_and_reliability_of_the_streams_can_be_overridden_and_nothing_else
         for end in ("/cable_tensions.subscription", "/estimator/wrench.publisher")
         for policy in ("depth", "reliability")
     }
-    (wrench,) = node.get_publishers_info_by_topic("/estimator/wrench")
+    (wrench,) = until(lambda: node.get_publishers_info_by_topic("/estimator/wrench"))
     assert wrench.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
 
 

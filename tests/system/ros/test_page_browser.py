@@ -6,7 +6,6 @@ Another website gets nothing.
 import io
 import signal
 import threading
-import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
@@ -246,24 +245,24 @@ def test_the_keys_of_a_slider_move_no_camera_and_the_home_view_leads_back(browse
         """Whether arrows of a push before are gone, and the view of another window."""
         nonlocal still
         still = scene()
-        time.sleep(1.0)
+        browser.wait_for_pictures()
         return drawn(still) and moved() < 0.001
 
     eventually(stands_still, bool, "the picture does not come to rest")
     set_at = browser.evaluate(SLIDER_VALUE)
     for _ in range(3):
-        browser.press("angle, °", "ArrowLeft", held_s=0.3)
+        browser.press("angle, °", "ArrowLeft", pictures=2)
     eventually(
         lambda: browser.evaluate(SLIDER_VALUE), lambda at: at != set_at, "the slider stayed"
     )
-    time.sleep(2.0)
+    browser.wait_for_pictures()
     assert moved() < 0.01
     browser.evaluate("document.activeElement.blur()")
 
     def moved_after_a_key():
-        """Share that has changed; a page that draws for half a second misses a shorter press."""
-        browser.hold("ArrowLeft", 0.5)
-        time.sleep(1.0)
+        """Share that has changed."""
+        browser.hold("ArrowLeft", pictures=2)
+        browser.wait_for_pictures()
         return moved()
 
     eventually(moved_after_a_key, lambda share: share > 0.05, "the camera's own keys")
@@ -275,7 +274,7 @@ def test_the_mouse_drags_a_force_on_the_arm(browser, at_rest):
     browser.resize(1280, 800)
     try:
         browser.click_button("Home view")
-        time.sleep(2.0)
+        browser.wait_for_pictures(4)  # by way of the node
         left, top, width, height = browser.evaluate(SCENE_RECT)
         # the home view looks at a point of segment 3, a little below its axis
         x = left + 0.5 * width
