@@ -5,9 +5,7 @@
 The truth is the independent plant (`cablesense_plants.arm.built`): each arm has errors of its own,
 drawn by a workshop's tolerances. It is tared straight, or commissioned in 25 unloaded poses; then
 it is touched in other poses within 10 degrees, by contacts of 5 to 40 N anywhere on the segments,
-with an axial part of up to 0.3 of the lateral force. A statement is vouched for if the state is
-`contact` or `moment`; it is wrong if the lateral force is off by more than 5 N and a fifth, or the
-segment is another one (next to a joint the neighbour's end is the same place).
+with an axial part of up to 0.3 of the lateral force. `judging.py` says which statements are wrong.
 
 Contacts act on the axis, and the arm file says so; with `surface` they act on a surface at a
 radius of 30 to 60 mm with friction, and the file says nothing. With friction of the cables the arm
@@ -22,11 +20,12 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import harness
 import numpy as np
 from estimation_settings import estimation_settings
+from judging import Acting, Stated, judged, misleads, share
 from rich.progress import track
 
 from cablesense_base import Array
@@ -48,10 +47,6 @@ BEND_RAD = float(np.deg2rad(10.0))
 LOW_N = 5.0
 HIGH_N = 40.0
 AXIAL_SHARE = 0.3
-WRONG_N = 5.0
-WRONG_SHARE = 0.2
-SAME_PLACE_M = 0.02
-"""Next to a joint the neighbour's end is the same place."""
 CONTACTS_AT_A_POSE = 4
 UNTOUCHED_AT_A_POSE = 2
 SURFACE_M = (0.03, 0.06)
@@ -160,35 +155,38 @@ STIFF_CASES = {
 """Of an arm whose cables are ninety times as stiff: a hole that is off by 0.1 mm is 1,000 N."""
 
 
-class Drawn(NamedTuple):
-    """What acts on the arm in one sample.
-
-    Attributes:
-        pushes: one or several; none of an untouched arm.
-        force_n: (3,) of the only one, along the axes of its segment at the command.
-        moment_n_m: (N, 2) of all about the joint centres, around y and z of the segments.
-    """
-
-    pushes: tuple[Push, ...]
-    force_n: Array
-    moment_n_m: Array
-
-
 @dataclass(frozen=True)
 class Touched:
     """One sample: what acts on the arm, and what is stated.
 
     Attributes:
-        pushes, force_n, moment_n_m: see `Drawn`.
+        acting: on the arm.
         output: of the law, a batch of one.
         judgement: what is stated.
     """
 
-    pushes: tuple[Push, ...]
-    force_n: Array
-    moment_n_m: Array
+    acting: Acting
     output: LawOutput
     judgement: Judgement
+
+    @property
+    def is_vouched(self) -> bool:
+        """Whether the statement is vouched for."""
+        return self.judgement.state in VOUCHED
+
+    @property
+    def stated(self) -> Stated:
+        """What is judged."""
+        output = self.output
+        return Stated(
+            segment=self.judgement.segment,
+            only_moment=self.judgement.state is ContactState.MOMENT,
+            place_m=float(output.place_m[0]),
+            lateral_n=output.force_n[0, 1:],
+            moment_n_m=output.moment_n_m[0],
+            region_m=output.region_m[0],
+            interval_n=output.magnitude_ci95_n[0],
+        )
 
 
 def stated_file(arm: Arm, case: Case) -> Arm:
@@ -221,7 +219,8 @@ class Bench:
         self.judge = Judge(FeltArm(arm))
         self.still = np.zeros((arm.joint_count, arm.joint_count))
         self.length_m = nominal.length_m
-        self.nothing = Drawn((), np.zeros(3), np.zeros((arm.segment_count, 2)))
+        no_pose = np.tile(np.eye(3), (arm.segment_count, 1, 1))
+        self.nothing = Acting((), no_pose, nominal.length_m)
 
     def built(self, rng: np.random.Generator) -> BuiltArm:
         """An arm with errors of its own."""
@@ -257,7 +256,7 @@ class Bench:
         if self.case.friction:
             return self._walked(built, calibration, poses, rng)
         commands: list[Array] = []
-        drawn: list[Drawn] = []
+        drawn: list[Acting] = []
         for _ in range(poses):
             command = rng.uniform(-BEND_RAD, BEND_RAD, self.arm.joint_count)
             for k in range(CONTACTS_AT_A_POSE + UNTOUCHED_AT_A_POSE):
@@ -309,7 +308,7 @@ class Bench:
         return samples
 
     def _of_state(
-        self, unloaded: CalibratedArm, state: CalibratedState, reading_n: Array, drawn: Drawn
+        self, unloaded: CalibratedArm, state: CalibratedState, reading_n: Array, drawn: Acting
     ) -> tuple[CalibratedState, Touched]:
         """What is stated of a reading (M,) by what is known of the arm, as an estimator does."""
         state, seen = self._seen(unloaded, state, reading_n)
@@ -336,17 +335,13 @@ class Bench:
         )
         return state, seen
 
-    def _judged(self, drawn: Drawn, seen: LawOutput, reading_n: Array) -> Touched:
-        return Touched(*drawn, seen, self.judge(seen, reading_n))
+    def _judged(self, drawn: Acting, seen: LawOutput, reading_n: Array) -> Touched:
+        return Touched(drawn, seen, self.judge(seen, reading_n))
 
-    def drawn(self, built: BuiltArm, command_rad: Array, rng: np.random.Generator) -> Drawn:
+    def drawn(self, built: BuiltArm, command_rad: Array, rng: np.random.Generator) -> Acting:
         """The pushes of one sample."""
         axes = built.axes(command_rad)
-        pushes = self._pushes(axes, rng)
-        force_n = np.zeros(3)
-        if len(pushes) == 1:
-            force_n = axes[pushes[0].segment - 1].T @ pushes[0].force_n
-        return Drawn(pushes, force_n, self._moments_n_m(axes, pushes))
+        return Acting(self._pushes(axes, rng), axes, self.length_m)
 
     def _pushes(self, axes: Array, rng: np.random.Generator) -> tuple[Push, ...]:
         """The pushes on an arm whose segments have these axes (N, 3, 3)."""
@@ -365,18 +360,6 @@ class Bench:
         if kind == "near joints":
             push = replace(push, place_m=rng.uniform(0.0, NEAR_JOINT_M))
         return (push,)
-
-    def _moments_n_m(self, axes: Array, pushes: Sequence[Push]) -> Array:
-        """(N, 2) of pushes about the joint centres, around y and z of each segment (N, 3, 3)."""
-        along_m = self.length_m[:, None] * axes[:, :, 0]
-        joints_m = np.concatenate([np.zeros((1, 3)), along_m[:-1].cumsum(axis=0)])
-        moments = np.zeros((len(axes), 3))
-        for push in pushes:
-            point_m = joints_m[push.segment - 1] + axes[push.segment - 1] @ push.at_m
-            for n in range(push.segment):
-                about_n_m = np.cross(point_m - joints_m[n], push.force_n)
-                moments[n] += axes[n].T @ about_n_m
-        return moments[:, 1:]
 
     def _push(self, n: int, axes: Array, rng: np.random.Generator) -> Push:
         """A contact on segment n, from 0 on."""
@@ -427,95 +410,25 @@ def mean_reading(built: BuiltArm, tension_n: Array, rng: np.random.Generator) ->
     return built.read(np.tile(tension_n, (TARE_SAMPLES, 1)), rng).mean(axis=0)
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A vouched statement about a single contact, against the truth."""
-
-    segment: int
-    place_mm: float
-    force_n: float
-    half_n: float
-    place_holds: bool
-    force_holds: bool
-    wrong: bool
-
-
-def judged(sample: Touched, length_m: Array) -> Judged:
-    """Errors of one statement, on an arm of segments of these lengths (N,)."""
-    (push,) = sample.pushes
-    joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-    output = sample.output
-    segment = sample.judgement.segment
-    lateral_n = float(np.hypot(*sample.force_n[1:]))
-    along_m = joint_m[push.segment - 1] + push.place_m
-    stated_m = joint_m[segment - 1] + output.place_m[0]
-    low_m, high_m = output.region_m[0]
-    low_n, high_n = output.magnitude_ci95_n[0]
-    same = segment == push.segment
-    near = same or abs(stated_m - along_m) < SAME_PLACE_M or low_m <= along_m <= high_m
-    if sample.judgement.state is ContactState.MOMENT:
-        # it states the segment and no place on it
-        ends_m = joint_m[segment - 1] + np.array([0.0, length_m[segment - 1]])
-        near |= bool(ends_m[0] - SAME_PLACE_M <= along_m <= ends_m[1] + SAME_PLACE_M)
-    off_n = float(np.hypot(*(output.force_n[0, 1:] - sample.force_n[1:])))
-    wrong = not near
-    if sample.judgement.state is ContactState.CONTACT:
-        wrong |= off_n > max(WRONG_N, WRONG_SHARE * lateral_n)
-    size_n = float(np.hypot(*output.force_n[0, 1:]))
-    return Judged(
-        segment=push.segment,
-        place_mm=1e3 * abs(stated_m - along_m),
-        force_n=off_n if same else abs(size_n - lateral_n),
-        half_n=0.5 * (high_n - low_n),
-        place_holds=bool(low_m - 1e-4 <= along_m <= high_m + 1e-4),
-        force_holds=bool(low_n <= lateral_n <= high_n),
-        wrong=bool(wrong),
-    )
-
-
-def misleads(sample: Touched, length_m: Array) -> bool:
-    """Whether a vouched statement about several contacts, or none, is wrong.
-
-    A contact is wrong unless it is one of them; a moment, unless it is that of all of them.
-    """
-    output = sample.output
-    segment = sample.judgement.segment
-    if sample.judgement.state is ContactState.MOMENT:
-        true_n_m = sample.moment_n_m[segment - 1]
-        off_n_m = float(np.hypot(*(output.moment_n_m[0] - true_n_m)))
-        allowed_n = max(WRONG_N, WRONG_SHARE * float(np.hypot(*true_n_m)) / length_m[segment - 1])
-        return off_n_m > allowed_n * length_m[segment - 1]
-    size_n = float(np.hypot(*output.force_n[0, 1:]))
-    if not sample.pushes:
-        return size_n > WRONG_N
-    joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
-    stated_m = joint_m[segment - 1] + output.place_m[0]
-    for push in sample.pushes:
-        true_n = float(np.linalg.norm(push.force_n))
-        near = abs(joint_m[push.segment - 1] + push.place_m - stated_m) < SAME_PLACE_M
-        if near and abs(size_n - true_n) < max(WRONG_N, WRONG_SHARE * true_n):
-            return False
-    return True
-
-
-def figures(samples: Sequence[Touched], length_m: Array) -> dict[str, Any]:
+def figures(samples: Sequence[Touched]) -> dict[str, Any]:
     """What the samples of a case come to."""
-    untouched = [sample for sample in samples if not sample.pushes]
-    touched = [sample for sample in samples if sample.pushes]
-    vouched = [sample for sample in touched if sample.judgement.state in VOUCHED]
-    rows = [judged(sample, length_m) for sample in vouched if len(sample.pushes) == 1]
+    untouched = [sample for sample in samples if not sample.acting.pushes]
+    touched = [sample for sample in samples if sample.acting.pushes]
+    vouched = [sample for sample in touched if sample.is_vouched]
+    single = [sample for sample in vouched if len(sample.acting.pushes) == 1]
+    several = [sample for sample in vouched if len(sample.acting.pushes) > 1]
+    rows = [judged(sample.acting, sample.stated) for sample in single]
     outer = [row for row in rows if row.segment > 1]
-    several = [sample for sample in vouched if len(sample.pushes) > 1]
 
     def vouches_wrongly(some: Sequence[Touched]) -> list[bool]:
-        vouched_for = [sample for sample in some if sample.judgement.state in VOUCHED]
-        return [bool(misleads(sample, length_m)) for sample in vouched_for]
+        vouched_for = [sample for sample in some if sample.is_vouched]
+        return [misleads(sample.acting, sample.stated) for sample in vouched_for]
 
     free = [sample.judgement.state is ContactState.FREE for sample in untouched]
     return {
         "touched": len(touched),
         "states": dict(Counter(sample.judgement.state.value for sample in touched)),
-        "answered": share([sample in vouched for sample in touched]),
+        "answered": share([sample.is_vouched for sample in touched]),
         "untouched free": share(free),
         "untouched vouched for": sum(vouches_wrongly(untouched)),
         "place, median (mm)": median([row.place_mm for row in outer]),
@@ -527,11 +440,6 @@ def figures(samples: Sequence[Touched], length_m: Array) -> dict[str, Any]:
         "several, vouched for": len(several),
         "several, wrong and vouched for": sum(vouches_wrongly(several)),
     }
-
-
-def share(values: Sequence[bool]) -> float | None:
-    """The share of true values; None of none."""
-    return round(float(np.mean(values)), 4) if len(values) else None
 
 
 def median(values: Sequence[float]) -> float | None:
@@ -555,7 +463,7 @@ def run_case(bench: Bench, title: str, given: argparse.Namespace, row: int) -> d
         doubted += not calibration.as_described
         samples += bench.samples(built, calibration, given.poses, rng)
     return {
-        **figures(samples, bench.length_m),
+        **figures(samples),
         "arms without calibration": refused,
         "calibrations that doubt the file": doubted,
     }

@@ -1,13 +1,18 @@
 """Contacts through the estimation, healthy and faulty: which are stated, and which are wrong.
 
-    python benchmarks/trust.py [--samples 2500] [--faulty 1250] [--healthy 0] [--built] [--write]
+    python benchmarks/trust.py [--samples 2500] [--faulty 1250] [--healthy 0] [--built]
+        [--tared-there] [--write]
 
 Arms are tared straight, then touched in random poses within 10 degrees, a quarter of them in the
-straight one; one contact anywhere on the arm or two, of 2 N to what the arm bears, with an axial
-part of up to 0.3 of the normal force; serialized messages with the sensors' noise and step, 100 a
-second. A contact is judged after 20 samples. It is wrong if the normal force is off by more than 5
-N and by more than a fifth of the true one, or if a segment is; next to a joint the neighbour's end
-is the same place. Where the moment alone is stated it is judged, over the length of the segment.
+straight one; with `--tared-there` they are tared in that pose, too. One contact acts anywhere on
+the arm, or two, of 2 N to what the arm bears, with an axial part of up to 0.3 of the normal force.
+Messages are serialized, with the sensors' noise and step, 100 a second.
+
+An answer is judged after 20 samples; `judging.py` says which are wrong. `free` is wrong if
+contacts have a moment about some joint of more than 5 N over the length of its segment. Larger
+forces next to a joint, with a smaller moment, are counted by themselves, and so are two contacts
+that are answered as one.
+
 With `--faulty`, one channel is scaled, shifted, stuck or zero, or a cable is broken, or two
 channels are scaled, shifted or exchanged; a quarter of those arms is untouched. Two channels are
 of one segment's cables in half of the cases. With `--healthy`, the states of samples under one
@@ -29,13 +34,15 @@ from typing import Any, NamedTuple, Protocol
 
 import harness
 import numpy as np
-from estimated_arm import EstimatedArm
+from estimated_arm import START_NS, EstimatedArm
+from judging import WRONG_N, Acting, Stated, error_n, is_one, is_wrong, share
 from rich.progress import track
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import Contact, ForceState
+from cablesense_msgs_py.messages import ForceState
 from cablesense_online.answer import Answer
 from cablesense_online.models import load_model
+from cablesense_online.tare import TareError
 from cablesense_plants.arm.body import Nominal, read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_plants.cases import PlantError
@@ -47,9 +54,6 @@ from cablesense_sim.touch import touched_places
 
 ARMS = {"cdsm": 150.0, "cdsm_lab": 45.0}
 """The strongest push, N, that an arm bears in nearly every pose within 10 degrees."""
-WRONG_N = 5.0
-WRONG_SHARE = 0.2
-SAME_PLACE_M = 0.02
 PERIOD_S = 0.01
 JUDGED_AFTER = 20
 RELEASED = 25
@@ -92,6 +96,7 @@ SIGNS: dict[str, Any] = {"more": 1.0, "less": -1.0, "apart": np.array([1.0, -1.0
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
 HEADINGS = ("healthy", "one faulty channel", "two faulty channels")
+HOW_MANY = ("untouched", "one contact", "two contacts")
 
 
 class ArmGivenUpError(Exception):
@@ -177,8 +182,15 @@ class TestedArm(EstimatedArm):
     """An arm that is tared straight, and at rest at a command since."""
 
     def __init__(
-        self, name: str, command_rad: Array, rng: np.random.Generator, *, built: bool
+        self,
+        name: str,
+        command_rad: Array,
+        rng: np.random.Generator,
+        *,
+        built: bool,
+        tared_there: bool = False,
     ) -> None:
+        """`tared_there` takes another tare at the command."""
         super().__init__(name, rng)
         self.truth: Truth = AsDescribed(self.mechanism)
         if built:
@@ -193,6 +205,8 @@ class TestedArm(EstimatedArm):
             self._go_to(command_rad)
         self.release()
         self._until(lambda: self.next(self.read(self.unloaded_n)).force is not ForceState.MOVING)
+        if tared_there:
+            self._tare()
         self.axes = kinematics.segment_rotations(self.mechanism, command_rad)
 
     def _go_to(self, command_rad: Array) -> None:
@@ -203,6 +217,15 @@ class TestedArm(EstimatedArm):
             raise ArmGivenUpError
         self.unloaded_n = unloaded_n
         self.next(self.read(unloaded_n))
+
+    def _tare(self) -> None:
+        for _ in range(self.settings.tare_samples):
+            self.next(self.read(self.unloaded_n))
+        try:
+            self.estimation.take_tare(START_NS + round(self._now_s * 1e9))
+        except TareError as error:
+            raise ArmGivenUpError from error
+        self.release()
 
     def _until(self, true: Any) -> None:
         for _ in range(MOST_SAMPLES):
@@ -221,13 +244,17 @@ class TestedArm(EstimatedArm):
         self._now_s += PERIOD_S
         return self.sample(reading_n, self._now_s)
 
-    def tensions_n(self, touches: Sequence[Touch], broken: Sequence[int] = ()) -> Array | None:
-        """(M,) under contacts; None where the arm does not bear them."""
-        pushes = [
+    def under(self, touches: Sequence[Touch]) -> Acting:
+        """The arm under contacts."""
+        pushes = tuple(
             Push(touch.segment, touch.place_m, self.axes[touch.segment - 1] @ touch.force_n)
             for touch in touches
-        ]
-        return self.truth.tensions_n(self.command_rad, pushes, broken)
+        )
+        return Acting(pushes, self.axes, self.mechanism.segment_length_m)
+
+    def tensions_n(self, acting: Acting, broken: Sequence[int] = ()) -> Array | None:
+        """(M,) under contacts; None where the arm does not bear them."""
+        return self.truth.tensions_n(self.command_rad, acting.pushes, broken)
 
     def drawn(self, largest_n: float) -> list[Touch]:
         """One contact, or two in a quarter of the cases."""
@@ -279,44 +306,81 @@ class TestedArm(EstimatedArm):
         for _ in range(RELEASED):
             self.next(self.read(self.unloaded_n))
 
-    def wrong_n(self, touches: Sequence[Touch], contacts: Sequence[Contact]) -> float:
-        """The largest error of a normal force, N; a share of the force does not count."""
-        worst = 0.0
-        unmatched = {contact.segment: contact for contact in contacts}
-        for touch in touches:
-            contact = unmatched.pop(self._stated_on(touch, unmatched), None)
-            normal_n = float(np.hypot(*touch.force_n[1:]))
-            off_n = normal_n if contact is None else self._off_n(touch, contact)
-            if contact is None or off_n > WRONG_SHARE * normal_n:
-                worst = max(worst, off_n)
-        for segment, contact in unmatched.items():
-            moment_n_m = contact.moment_n_m or 0.0
-            length_m = float(self.mechanism.segment_length_m[segment - 1])
-            worst = max(worst, contact.magnitude_n or moment_n_m / length_m)
-        return worst
 
-    def _stated_on(self, touch: Touch, contacts: dict[int, Contact]) -> int:
-        """The segment whose stated contact is at the place of this one; 0 for none."""
-        along_m = float(self.joint_m[touch.segment - 1]) + touch.place_m
-        for segment in (touch.segment, touch.segment + 1, touch.segment - 1):
-            if segment not in contacts:
-                continue
-            stated_m = float(self.joint_m[segment - 1]) + contacts[segment].contact_m
-            if segment == touch.segment or abs(stated_m - along_m) < SAME_PLACE_M:
-                return segment
-        return 0
+class Answered(NamedTuple):
+    """An arm under contacts, and what it is answered.
 
-    def _off_n(self, touch: Touch, contact: Contact) -> float:
-        """By how much a stated contact is off, along the axes of its segment."""
-        n = contact.segment - 1
-        force_n = (self.axes[n].T @ self.axes[touch.segment - 1] @ touch.force_n)[1:]
-        direction = np.array(contact.direction)
-        if contact.magnitude_n:
-            return float(np.hypot(*(contact.magnitude_n * direction - force_n)))
-        lever_m = float(self.joint_m[touch.segment - 1] - self.joint_m[n]) + touch.place_m
-        moment_n_m = (contact.moment_n_m or 0.0) * direction
-        off_n_m = float(np.hypot(*(moment_n_m - lever_m * force_n)))
-        return off_n_m / float(self.mechanism.segment_length_m[n])
+    Attributes:
+        touches: of the arm.
+        acting: the same, as they are judged.
+        answer: of the estimator.
+        fault: of some channels; empty of a healthy arm.
+    """
+
+    touches: Sequence[Touch]
+    acting: Acting
+    answer: Answer
+    fault: str
+
+    @property
+    def stated(self) -> Stated | None:
+        """The contact that is stated, to be judged; None of none."""
+        answer = self.answer
+        contact = answer.contact
+        estimate = answer.estimate
+        region_m = answer.region_m
+        if estimate is None or region_m is None:
+            return None
+        return Stated(
+            segment=contact.segment,
+            only_moment=answer.force is ForceState.MOMENT,
+            place_m=contact.contact_m,
+            lateral_n=np.array(contact.wrench[1:3]),
+            moment_n_m=np.array(contact.wrench[4:]),
+            region_m=self.acting.joint_m[contact.segment - 1] + np.array(region_m),
+            interval_n=np.array([estimate.low_n, estimate.high_n]),
+        )
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether what is stated is wrong, be it vouched for or not."""
+        if self.stated is not None:
+            return is_wrong(self.acting, self.stated)
+        return self.answer.force is ForceState.FREE and self.largest_moment_as_force_n > WRONG_N
+
+    @property
+    def error_n(self) -> float:
+        """By how much it is off."""
+        if self.stated is not None:
+            return error_n(self.acting, self.stated)
+        return self.largest_moment_as_force_n
+
+    @property
+    def largest_n(self) -> float:
+        """The largest lateral force on the arm."""
+        return max(map(self.acting.lateral_size_n, self.acting.pushes), default=0.0)
+
+    @property
+    def largest_moment_as_force_n(self) -> float:
+        """The largest moment about a joint, over the length of its segment."""
+        segments = range(1, len(self.acting.length_m) + 1)
+        return max(map(self.acting.moment_as_force_n, segments))
+
+    @property
+    def most_unseen_n(self) -> float:
+        """Up to which force a contact may act that is not stated."""
+        bounds = self.answer.bounds
+        return 0.0 if bounds is None else bounds[1].magnitude_n
+
+    @property
+    def unmentioned_n(self) -> float:
+        """The largest lateral force of a contact that is not the stated one."""
+        stated = self.stated
+        acting = self.acting
+        others = acting.pushes
+        if stated is not None:
+            others = tuple(push for push in others if not is_one(acting, push, stated))
+        return max(map(acting.lateral_size_n, others), default=0.0)
 
 
 @cache
@@ -325,12 +389,13 @@ def _nominal(name: str) -> Nominal:
 
 
 def tested_arm(
-    name: str, bend_rad: float, rng: np.random.Generator, *, built: bool
+    name: str, bend_rad: float, rng: np.random.Generator, given: argparse.Namespace
 ) -> TestedArm | None:
     """An arm in a random pose; None where it cannot be tared, or does not hold itself there."""
     joints = _loaded(name).arm.joint_count
+    command_rad = rng.uniform(-bend_rad, bend_rad, joints)
     try:
-        return TestedArm(name, rng.uniform(-bend_rad, bend_rad, joints), rng, built=built)
+        return TestedArm(name, command_rad, rng, built=given.built, tared_there=given.tared_there)
     except ArmGivenUpError:
         return None
 
@@ -343,15 +408,13 @@ def trial(
 ) -> dict[str, Any]:
     """Counts of the states and of wrong contacts, of one arm with some faulty channels."""
     rng = np.random.default_rng([given.seed, seed, channels])
-    states: Counter[str] = Counter()
-    unconfirmed = 0
+    answered: list[Answered] = []
     given_up = 0
-    wrong: list[dict[str, Any]] = []
     count = given.faulty if channels else given.samples
     title = f"{name}, {HEADINGS[channels]}"
     for number in track(range(-(-count // CONTACTS_AT_A_POSE)), title):
         bend_rad = 0.0 if number % 4 == 0 else BEND_RAD
-        arm = tested_arm(name, bend_rad, rng, built=given.built)
+        arm = tested_arm(name, bend_rad, rng, given)
         if arm is None:
             given_up += 1
             continue
@@ -360,24 +423,52 @@ def trial(
             touches = [] if untouched else arm.drawn(largest_n)
             fault = str(rng.choice(FAULTS[channels])) if channels else ""
             cables = arm.cables(channels) if channels else []
-            tensions_n = arm.tensions_n(touches, cables if fault == BROKEN else ())
+            acting = arm.under(touches)
+            tensions_n = arm.tensions_n(acting, cables if fault == BROKEN else ())
             if tensions_n is None:
                 continue
             answer = arm.answer(tensions_n, fault, cables)
-            states[f"{_where(touches)}: {answer.force.value}"] += 1
-            off_n = arm.wrong_n(touches, answer.contacts)
-            unconfirmed += off_n > WRONG_N and answer.force is ForceState.UNCONFIRMED
-            if answer.force.known and off_n > WRONG_N:
-                faulty = fault and f"{fault}, cables {[n + 1 for n in cables]}"
-                described = _described(touches, answer.contacts)
-                wrong.append({"fault": faulty, **described, "off_n": round(off_n, 2)})
+            faulty = fault and f"{fault}, cables {[n + 1 for n in cables]}"
+            answered.append(Answered(touches, acting, answer, faulty))
+    return {**figures(answered), "arms_given_up": given_up}
+
+
+def figures(answered: Sequence[Answered]) -> dict[str, Any]:
+    """What the answers come to."""
+    states = Counter(f"{_where(one.touches)}: {one.answer.force.value}" for one in answered)
+    known = [one for one in answered if one.answer.force.known]
+    wrong = [one for one in known if one.is_wrong]
+    unconfirmed = [one for one in answered if one.answer.force is ForceState.UNCONFIRMED]
+    free = [one for one in known if one.answer.force is ForceState.FREE]
+    near_joints = [one for one in free if one.largest_n > WRONG_N and not one.is_wrong]
+    of_contacts = Counter(HOW_MANY[len(one.touches)] for one in wrong)
+    as_one = [
+        one for one in known if len(one.touches) > 1 and one.answer.force is ForceState.CONTACT
+    ]
+    right = [one for one in as_one if not one.is_wrong]
     return {
         "states": dict(sorted(states.items())),
         "contacts": states.total(),
-        "arms_given_up": given_up,
-        "wrong_and_unconfirmed": unconfirmed,
+        "wrong_and_unconfirmed": sum(one.is_wrong for one in unconfirmed),
+        "vouched": len(known) - len(free),
         "wrong_and_vouched": len(wrong),
-        "wrong": wrong[:20],
+        "wrong_and_vouched_of": {number: of_contacts[number] for number in HOW_MANY},
+        "wrong_and_vouched_by_more_than_5_n": sum(one.error_n > WRONG_N for one in wrong),
+        "two_answered_as_one": {
+            "contacts": len(as_one),
+            "wrong": len(as_one) - len(right),
+            "share_wrong": share([one.is_wrong for one in as_one]),
+            "right_about_one_and_the_other_above_5_n": sum(
+                one.unmentioned_n > WRONG_N for one in right
+            ),
+        },
+        "free_under_more_than_5_n_next_to_a_joint": {
+            "contacts": len(near_joints),
+            "above_the_stated_bound": sum(
+                one.largest_n > one.most_unseen_n for one in near_joints
+            ),
+        },
+        "wrong": [_described(one) for one in wrong[:20]],
     }
 
 
@@ -387,17 +478,23 @@ def _where(touches: Sequence[Touch]) -> str:
     return f"segment {touches[0].segment}" if touches else "untouched"
 
 
-def _described(touches: Sequence[Touch], contacts: Sequence[Contact]) -> dict[str, Any]:
+def _described(one: Answered) -> dict[str, Any]:
     """What acts and what is stated."""
     acting = [
         (touch.segment, round(touch.place_m, 4), touch.force_n.round(2).tolist())
-        for touch in touches
+        for touch in one.touches
     ]
     stated = [
         (contact.segment, round(contact.contact_m, 4), round(contact.magnitude_n, 2))
-        for contact in contacts
+        for contact in one.answer.contacts
     ]
-    return {"touches": acting, "contacts": stated}
+    return {
+        "fault": one.fault,
+        "touches": acting,
+        "state": one.answer.force.value,
+        "contacts": stated,
+        "off_n": round(one.error_n, 2),
+    }
 
 
 def healthy_samples(name: str, given: argparse.Namespace, largest_n: float) -> dict[str, Any]:
@@ -411,14 +508,15 @@ def healthy_samples(name: str, given: argparse.Namespace, largest_n: float) -> d
     arms = -(-given.healthy // (CONTACTS_AT_A_POSE * READINGS))
     contacts = -(-given.healthy // READINGS)
     for number in track(range(arms), f"{name}, healthy samples"):
-        arm = tested_arm(name, BEND_RAD, rng, built=given.built)
+        arm = tested_arm(name, BEND_RAD, rng, given)
         if arm is None:
             continue
         for _ in range(min(CONTACTS_AT_A_POSE, contacts - number * CONTACTS_AT_A_POSE)):
             n = int(rng.integers(arm.arm.segment_count))
             angle = rng.uniform(0.0, 2.0 * np.pi)
             force_n = rng.uniform(0.0, largest_n) * np.array([0.0, np.sin(angle), np.cos(angle)])
-            tensions_n = arm.tensions_n([Touch(n + 1, rng.uniform(*arm.touched_m[n]), force_n)])
+            touch = Touch(n + 1, rng.uniform(*arm.touched_m[n]), force_n)
+            tensions_n = arm.tensions_n(arm.under([touch]))
             if tensions_n is None:
                 continue
             force_states = [arm.next(arm.read(tensions_n)).force for _ in range(READINGS)]
@@ -436,13 +534,14 @@ def healthy_samples(name: str, given: argparse.Namespace, largest_n: float) -> d
 
 def main() -> int:
     """Tries healthy arms and faulty ones, prints, and keeps the figures with `--write`."""
-    options = harness.parser(__doc__, "trust.json, or trust_built.json")
+    options = harness.parser(__doc__, "trust.json, or trust_built.json, …_tared_there.json")
     options.add_argument("--samples", type=int, default=2500, help="contacts of each healthy arm")
     options.add_argument(
         "--faulty", type=int, default=1250, help="of each arm with one faulty channel or two"
     )
     options.add_argument("--healthy", type=int, default=0, help="samples whose states are counted")
     options.add_argument("--built", action="store_true", help="arms with errors of their own")
+    options.add_argument("--tared-there", action="store_true", help="another tare in each pose")
     options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")
     given = options.parse_args()
     result: dict[str, Any] = {}
@@ -456,8 +555,11 @@ def main() -> int:
         if given.healthy:
             largest_n = _loaded(name).metadata.force_range_n
             result[name]["healthy samples"] = healthy_samples(name, given, largest_n)
-    written = "trust_built.json" if given.built else "trust.json"
-    return harness.publish(written, result, given, "numpy", "onnxruntime")
+    built = "_built" if given.built else ""
+    tared_there = "_tared_there" if given.tared_there else ""
+    return harness.publish(
+        f"trust{built}{tared_there}.json", result, given, "numpy", "onnxruntime"
+    )
 
 
 if __name__ == "__main__":

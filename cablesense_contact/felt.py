@@ -209,7 +209,7 @@ class FeltMachine(Protocol):
 
     @property
     def known_n(self) -> float:
-        """A force counts as known where half of its interval is below this, N.
+        """A force counts as known where both ends of its interval are within this of it, N.
 
         One along a link does where its standard deviation is.
         """

@@ -26,7 +26,7 @@ from cablesense_sim.touch import is_one_place, touched_places
 from cablesense_sim.uncertain_arm import arm_parameters
 
 _KNOWN_N = 1.0
-"""A force is known if half of its interval is below this."""
+"""A force is known if both ends of its interval are within this of it."""
 _SLACK_BELOW_STD = 4.0
 """An unloaded reading below this many deviations of a sensor's zero may be of a slack cable."""
 

@@ -48,7 +48,7 @@ Each reading is judged: at 100 Hz noise alone falls below this once in some hour
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
 _KNOWN_SHARE_OF_FORCE = 0.3
-"""A force is known if half of its interval is below this share of it, or small."""
+"""A force is known if both ends of its interval are within this share of it, or near it."""
 
 
 class ContactState(Enum):
@@ -190,12 +190,14 @@ class Judge:
     def _force_is_known(self, seen: LawOutput, link: int) -> bool:
         """Whether readings determine the lateral force; else the moment about the joint is.
 
-        Near the joint a force may be any, so that its mean is far outside its interval. Where the
-        place is given, the moment in place of the force would say no more.
+        Near the joint a force may be any, so that its mean is far outside its interval, or at one
+        end of it where the other ends at the largest force that is expected. Where the place is
+        given, the moment in place of the force would say no more.
         """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
         size_n = float(np.hypot(*seen.force_n[0, 1:]))
-        is_narrow = 0.5 * (high_n - low_n) <= max(self._known_n, _KNOWN_SHARE_OF_FORCE * size_n)
+        farther_n = max(high_n - size_n, size_n - low_n)
+        is_narrow = farther_n <= max(self._known_n, _KNOWN_SHARE_OF_FORCE * size_n)
         on_others = np.delete(seen.contact_evidence[0], link) - seen.contact_evidence[0, link]
         is_there = float(np.exp(on_others).sum()) <= CONTACT_DOUBTED_ABOVE
         place_is_given = bool(self._is_one_place[link]) and is_there

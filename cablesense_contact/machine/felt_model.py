@@ -23,7 +23,7 @@ from cablesense_sim.machine.statics import LinkForce, MachineStatics
 from cablesense_sim.touch import is_one_place
 
 _KNOWN_SHARE_OF_LARGEST = 1.0 / GRAPH_FORCE_N
-"""A force is known if half of its interval is below this share of the largest one."""
+"""A force is known if both ends of its interval are within this share of the largest one of it."""
 _REFERENCE_SHARE = 0.2
 """Force of the contacts by which a machine is judged, as a share of the largest one."""
 _LARGEST_COMMAND = 1e3

@@ -143,3 +143,18 @@ def test_a_higher_threshold_asks_for_more(bench):
     assert Judge(FeltArm(ARM), 0.01)(seen, reading).state is not ContactState.FREE
     sure = Judge(FeltArm(ARM), 1.0 - 1e-12)(seen, reading).state
     assert sure not in (ContactState.CONTACT, ContactState.MOMENT)
+
+
+def test_a_force_at_one_end_of_its_interval_is_not_known(bench):
+    """Of a strong push on segment 1 only forces up to the largest that is expected count."""
+    reading = bench.reading(bench.push(3, 0.06, [0.0, 12.0, -9.0]))
+    _, seen = bench.judged(reading)
+    size_n = float(np.hypot(*seen.force_n[0, 1:]))
+    for low, high, state in (
+        (0.8, 1.2, ContactState.CONTACT),
+        (0.8, 1.02, ContactState.CONTACT),
+        (0.5, 1.02, ContactState.MOMENT),
+        (0.98, 1.5, ContactState.MOMENT),
+    ):
+        interval_n = size_n * np.array([[low, high]])
+        assert bench.judge(seen._replace(magnitude_ci95_n=interval_n), reading).state is state
