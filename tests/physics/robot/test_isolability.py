@@ -85,9 +85,10 @@ def test_motion_is_chosen_in_which_two_effects_differ(pendulum):
     pair = "rotor_inertia", "payload"
     blocks = blocks_that_part(pendulum, pair)
     assert 1 <= len(blocks) <= 3
-    times = [block for block in blocks for _ in range(5)]
-    parted = isolability(planned(pendulum, times, "torques")).worst()
-    names = [c.effect for c in planned(pendulum, times, "torques").candidates]
+    twice = [block for block in blocks for _ in range(2)]
+    system = planned(pendulum, twice, "torques")
+    parted = isolability(system).worst()
+    names = [c.effect for c in system.candidates]
     assert parted.shape == (len(names), len(names))
 
 
