@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
-from onnxscript import ir, optimizer
 from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
@@ -108,15 +107,11 @@ def to_onnx(
             tuple(traced.values()),
             dynamo=True,
             opset_version=OPSET,
+            input_names=list(traced),
+            output_names=list(outputs),
             verbose=False,
-            optimize=False,
         )
     assert program is not None
-    _simplify(program.model)
-    graph = program.model.graph
-    for values, names in ((graph.inputs, traced), (graph.outputs, outputs)):
-        for value, name in zip(values, names, strict=True):
-            value.name = name
     model = program.model_proto
     for node in model.graph.node:
         del node.metadata_props[:]
@@ -124,28 +119,6 @@ def to_onnx(
     del model.metadata_props[:]
     _take_any_number_of_rows(model.graph)
     return model
-
-
-def _simplify(model: ir.Model) -> None:
-    """Fold constants, and take out what no output needs or what is computed twice.
-
-    The exporter's own optimization also looks for patterns of nodes at every node, twice: that is
-    a quarter of all its time, and ONNX Runtime does so when it opens a model.
-    """
-    optimizer.inline(model)
-    optimizer.fold_constants(model, onnx_shape_inference=True)
-    optimizer.remove_unused_nodes(model)
-    passes = ir.passes.common
-    ir.passes.Sequential(
-        passes.RemoveUnusedFunctionsPass(),
-        passes.RemoveUnusedOpsetsPass(),
-        passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
-        passes.LiftSubgraphInitializersToMainGraphPass(),
-        passes.DeduplicateInitializersPass(),
-        passes.CommonSubexpressionEliminationPass(),
-        passes.OutputFixPass(),
-        passes.NameFixPass(),
-    )(model)
 
 
 def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:

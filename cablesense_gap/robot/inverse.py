@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg.lapack import dgttrf, dgttrs
+from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
@@ -175,82 +174,17 @@ class InverseDynamics:
         return np.einsum("kri,pk->rip", torques, np.linalg.inv(np.array(parameters)))
 
     def _later(self, torque: Array, delay_s: float) -> Array:
-        delayed = torque.copy()
-        if self._splined.any():
-            delayed[self._splined] = self._splines.earlier(torque[self._splined], delay_s)
+        motion = self._motion
+        delayed = np.empty_like(torque)
+        for t in np.unique(motion.trial):
+            rows = motion.trial == t
+            time_s = motion.time_s[rows]
+            if len(time_s) < 4:
+                delayed[rows] = torque[rows]
+                continue
+            earlier_s = np.clip(time_s - delay_s, time_s[0], time_s[-1])
+            delayed[rows] = CubicSpline(time_s, torque[rows])(earlier_s)
         return delayed
-
-    @cached_property
-    def _splined(self) -> NDArray[np.bool_]:
-        """(R,) whether a row's trial has as many as a cubic spline needs."""
-        _, number, count = np.unique(self._motion.trial, return_inverse=True, return_counts=True)
-        return np.asarray(count[number] > 3)
-
-    @cached_property
-    def _splines(self) -> _Splines:
-        return _Splines(self._motion.time_s[self._splined], self._motion.trial[self._splined])
-
-
-class _Splines:
-    """A cubic spline for each trial, through values at R times; trials have four of these or more.
-
-    They are SciPy's `CubicSpline`, which solves equations for the slopes of each trial anew: here
-    those of all trials are factorized once.
-    """
-
-    def __init__(self, time_s: Array, trial: NDArray[np.int64]) -> None:
-        borders = np.flatnonzero(np.diff(trial)) + 1
-        begins = np.append(0, borders)
-        ends = np.append(borders, len(time_s))
-        equations = [_slope_equations(part) for part in np.split(time_s, borders)]
-        below, middle, above, by_first, by_second = np.concatenate(equations, axis=1)
-        *self._factors, _ = dgttrf(below[1:], middle, above[:-1])
-        self._by_chords = by_first[:, None], by_second[:, None]
-        step = np.diff(time_s)
-        step[borders - 1] = 1.0  # from one trial to the next
-        self._step = step[:, None]
-        self._time_s = np.append(0.0, np.cumsum(step))
-        self._begin = np.repeat(begins, ends - begins)
-        self._end = np.repeat(ends - 1, ends - begins)
-        before = np.arange(len(time_s)) - 1
-        self._first_chord = np.clip(before, self._begin, self._end - 2)
-
-    def earlier(self, values: Array, by_s: float) -> Array:
-        """(R, J) of values (R, J), each that of so long before; a trial's ends go on for ever."""
-        step = self._step
-        chord = np.diff(values, axis=0) / step
-        by_first, by_second = self._by_chords
-        weighted = by_first * chord[self._first_chord] + by_second * chord[self._first_chord + 1]
-        slope, _ = dgttrs(*self._factors, weighted)
-        time_s = self._time_s
-        at_s = np.clip(time_s - by_s, time_s[self._begin], time_s[self._end])
-        row = np.searchsorted(time_s, at_s, side="right") - 1
-        row = np.clip(row, self._begin, self._end - 1)
-        since_s = (at_s - time_s[row])[:, None]
-        bend = (slope[:-1] + slope[1:] - 2.0 * chord) / step
-        second = (chord - slope[:-1]) / step - bend
-        third = bend / step
-        beyond = (third[row] * since_s + second[row]) * since_s
-        return np.asarray((beyond + slope[row]) * since_s + values[row])
-
-
-def _slope_equations(time_s: Array) -> Array:
-    """(5, T) numbers of the equations for the slopes of a spline at T times, one each.
-
-    The slopes before, at and after that time have the first three numbers as factors. The sum is
-    that of two neighbouring chords' slopes by the last two. The spline has no knot at its second
-    and at its last but one time.
-    """
-    step = np.diff(time_s)
-    begin = step[0] + step[1]
-    end = step[-1] + step[-2]
-    below = [0.0, *step[1:], end]
-    middle = [step[1], *2.0 * (step[:-1] + step[1:]), step[-2]]
-    above = [begin, *step[:-1], 0.0]
-    by_first = [(step[0] + 2.0 * begin) * step[1] / begin, *3.0 * step[1:], step[-1] ** 2 / end]
-    of_end = (2.0 * end + step[-1]) * step[-2] / end
-    by_second = [step[0] ** 2 / begin, *3.0 * step[:-1], of_end]
-    return np.array([below, middle, above, by_first, by_second])
 
 
 class InverseComparison(MotionComparison):

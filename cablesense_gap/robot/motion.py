@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt, sosfilt_zi
+from scipy.signal import butter, sosfiltfilt
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
@@ -34,23 +34,12 @@ def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:
         return np.repeat(signal.mean(0, keepdims=True), len(signal), axis=0)
     most = len(signal) - 1
     pad = min(int(3.0 * rate_hz / bandwidth_hz), most)
-    # as `scipy.signal.sosfiltfilt`, which finds the state at rest anew for each signal
-    before = 2.0 * signal[0] - signal[pad:0:-1]
-    after = 2.0 * signal[-1] - signal[-2 : -pad - 2 : -1]
-    filtered = np.concatenate([before, signal, after])
-    sections, at_rest = _filter(rate_hz, bandwidth_hz)
-    at_rest = at_rest.reshape(*at_rest.shape, *[1] * (signal.ndim - 1))
-    for _ in range(2):
-        filtered, _ = sosfilt(sections, filtered, axis=0, zi=at_rest * filtered[:1])
-        filtered = filtered[::-1]
-    return np.asarray(filtered[pad : len(filtered) - pad])
+    return np.asarray(sosfiltfilt(_sections(rate_hz, bandwidth_hz), signal, axis=0, padlen=pad))
 
 
 @lru_cache
-def _filter(rate_hz: float, bandwidth_hz: float) -> tuple[Array, Array]:
-    """Sections of a filter, and their states (S, 2) under a signal that stays at one."""
-    sections = butter(3, bandwidth_hz, fs=rate_hz, output="sos")
-    return np.asarray(sections), np.asarray(sosfilt_zi(sections))
+def _sections(rate_hz: float, bandwidth_hz: float) -> Array:
+    return np.asarray(butter(3, bandwidth_hz, fs=rate_hz, output="sos"))
 
 
 def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:
