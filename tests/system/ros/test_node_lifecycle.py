@@ -110,9 +110,10 @@ def test_a_node_offers_the_quality_that_the_table_of_topics_has(make_node, kind,
         return [one.qos_profile for one in publishers if one.node_name == node.get_name()]
 
     for name, topic in known.items():
-        own = until(lambda name=name: offered(name), name)  # the graph follows a moment later
+        # the graph follows a moment later
+        qualities = until(lambda name=name: offered(name), name)
         listed = RECORDED_TOPICS[topic].offered
-        for offers in own:
+        for offers in qualities:
             assert (offers.reliability == ReliabilityPolicy.RELIABLE) is listed.reliable
             lasts = offers.durability == DurabilityPolicy.TRANSIENT_LOCAL
             assert lasts is listed.transient_local
