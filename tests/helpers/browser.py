@@ -180,8 +180,8 @@ class Browser(Tab):
         self._tabs = f"http://{address[1]}/json"
         with urllib.request.urlopen(self._tabs) as answer:
             tabs = json.load(answer)
-        (address, *_) = (tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
-        super().__init__(address, cheap=cheap)
+        page = next(tab for tab in tabs if tab["type"] == "page")
+        super().__init__(page["webSocketDebuggerUrl"], cheap=cheap)
 
     def new_tab(self, url):
         """Another tab, that shows a page."""
