@@ -89,7 +89,7 @@ AT_ANY_MOMENT_S = 0.5
 
 _SET_UP = {
     "driver": r"\[INFO\] \[([\d.]+)\] \[can_driver\]: arm ",
-    "sim": r"\[INFO\] \[([\d.]+)\] \[sim\]: arm ",
+    "sim": r"\[INFO\] \[([\d.]+)\] \[sim\]: .* channels at ",
     "estimator": r"\[INFO\] \[([\d.]+)\] \[estimator\]: arm .*: configured",
 }
 

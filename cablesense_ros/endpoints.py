@@ -143,6 +143,10 @@ class _Output:
         self.subscribed = event.current_count > 0
 
 
+_TURN_S = 0.05
+"""For messages that come without a pause; then commands and timers have theirs."""
+
+
 def subscribe_to_one(
     node: Node,
     kind: type,
@@ -156,14 +160,16 @@ def subscribe_to_one(
 ) -> Subscription:
     """A raw subscription: `take` gets the messages of one publisher, never of two in turn.
 
+    The events executor of rclpy gives messages until there are none. Where they come faster than
+    `take` is done with them, nothing else would ever run: no command, no service, no timer, not
+    even the end of the process. So those that wait after a turn are left out.
+
     `refuse` gets why a message of another is not used. `accept` stands in place of
     `publisher.accept`, which it calls. `events` are callbacks by the names of rclpy.
     """
     accept = accept or publisher.accept
 
-    def receive(message: Any, information: Any = None) -> None:
-        if information is None:  # the events executor of rclpy 7.1 gives both as one tuple
-            message, information = message
+    def receive_one(message: bytes, information: Any) -> None:
         try:
             another = accept(information["publication_sequence_number"], time.monotonic())
         except SampleError as problem:
@@ -177,11 +183,20 @@ def subscribe_to_one(
             )
         take(message)
 
+    def receive(message: Any, information: Any = None) -> None:
+        if information is None:  # the events executor of rclpy 7.1 gives both as one tuple
+            message, information = message
+        began_s = time.monotonic()
+        receive_one(message, information)
+        while waiting := _waiting(subscription):
+            if time.monotonic() < began_s + _TURN_S:
+                receive_one(*waiting)
+
     # rclpy looks at the signature for whether information is wanted
     receive.__signature__ = Signature(  # type: ignore[attr-defined]
         [Parameter(name, Parameter.POSITIONAL_ONLY) for name in ("message", "information")]
     )
-    return node.create_subscription(
+    subscription = node.create_subscription(
         kind,
         topic,
         receive,
@@ -191,6 +206,16 @@ def subscribe_to_one(
             matched=lambda event: publisher.matched(event.current_count), **events
         ),
     )
+    return subscription
+
+
+def _waiting(subscription: Subscription) -> tuple[bytes, Any] | None:
+    """The next message that waits, with its information; None where none does."""
+    with subscription.handle:
+        taken: tuple[bytes, Any] | None = subscription.handle.take_message(
+            subscription.msg_type, subscription.raw
+        )
+    return taken
 
 
 WARN_EVERY_S = 1.0

@@ -48,6 +48,8 @@ from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
 _WAKE_S = 0.2
 """How often a node that ends looks whether all is done."""
 _STUCK_AFTER_S = 60  # a start that compiles takes 20 s on a slow machine
+_PROGRESS_S = 1.0
+"""How often a node's own timer postpones the alarm of one that is stuck."""
 _ENDED_WITHIN_S = 4  # launch ends with a signal that nobody can handle after five
 _EXITED_WITHIN_S = 20  # Python's own end, with the threads of the page
 _RCLError = rclpy_implementation.RCLError
@@ -102,18 +104,24 @@ def _spin(node: Node, wanted_end: Future) -> None:
 
     The events executor's own `spin` does not return at shutdown. rclpy's signal handlers would
     invalidate the context under a callback that is running; ours note that the end is wanted, for
-    the loop.
+    the loop. Nor does it return at its timeout while there are events: the alarm is postponed by
+    a timer, which has its turn among them.
     """
     executor = make_executor()
     executor.add_node(node)
+    signal.alarm(_STUCK_AFTER_S)
+    steady_timer(node, _PROGRESS_S, _postpone_alarm)
     try:
         while rclpy.utilities.ok() and not wanted_end.done():
-            signal.alarm(_STUCK_AFTER_S)
             with suppress(_InvalidHandle):  # an event of a subscription that is gone by now
                 executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
     finally:
         signal.alarm(_ENDED_WITHIN_S)
         executor.shutdown()
+
+
+def _postpone_alarm() -> None:
+    signal.alarm(_STUCK_AFTER_S)
 
 
 def _cannot_start(error: Exception) -> int:

@@ -437,3 +437,50 @@ def test_a_node_that_fast_dds_does_not_let_go_is_ended_by_an_alarm(where):
         if where == "at its end":
             process.send_signal(signal.SIGINT)
         assert process.wait(timeout=20.0) == -signal.SIGALRM
+
+
+# samples come five times as fast as they are answered
+OVERLOADED = """
+import threading, time
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from cablesense_msgs_py.qos import PUBLISHER_QOS, SENSOR_QOS
+from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_ros import node_process
+from cablesense_ros.endpoints import qos_profile, subscribe_to_one
+
+class Overloaded(Node):
+    def __init__(self):
+        super().__init__("overloaded")
+        self.samples = self.create_publisher(JointState, "samples", qos_profile(PUBLISHER_QOS))
+        subscribe_to_one(
+            self, JointState, "samples", SENSOR_QOS, FollowedPublisher(),
+            lambda raw: time.sleep(0.005), lambda problem: None,
+        )
+        self.began_s = time.monotonic()
+        self.create_timer(0.1, self.tell)
+        threading.Thread(target=self.ask, daemon=True).start()
+
+    def ask(self):
+        while True:
+            self.samples.publish(JointState())
+            time.sleep(0.001)
+
+    def tell(self):
+        if time.monotonic() > self.began_s + 5.0:
+            print("a timer has its turn", flush=True)
+
+node_process._STUCK_AFTER_S = 2
+raise SystemExit(node_process.run_node(Overloaded))
+"""
+
+
+def test_a_node_whose_samples_come_too_fast_goes_on_with_all_else_and_ends():
+    command = [sys.executable, "-c", OVERLOADED]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.readline() == b"a timer has its turn\n"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=20.0) == 0
+        finally:
+            process.kill()
