@@ -1,6 +1,6 @@
 """Breathing on the independent plant: forces under friction, passive and after a breath.
 
-    python benchmarks/breathing.py [--arms 32] [--write]
+    python benchmarks/breathing.py --folder DIR [--arms 32] [--write]
 
 Cables stick rigidly at every guide and at a pulley of a quarter turn. Half of the arms are
 straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on one segment; the load
@@ -15,6 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import harness
@@ -42,6 +45,7 @@ from cablesense_training.law.build import TorchLaw
 Ints = NDArray[np.int64]
 
 SEED = 20_261_122
+ARMS = ("cdsm", "cdsm_lab")
 FRICTIONS = (0.05, 0.10, 0.15)
 TURN_S = 0.4
 SETTLE_S = 0.5
@@ -327,23 +331,28 @@ def passive(name: str, coefficient: float, options: Any) -> dict[str, Any]:
     return errors(course, estimates, options.loads)
 
 
+def compared(name: str, coefficient: float, options: Any) -> dict[str, Any]:
+    """Figures of one arm and friction, with breaths and without."""
+    return {
+        "arm": name,
+        "friction": coefficient,
+        "breath": breathed(name, coefficient, options),
+        "passive": passive(name, coefficient, options),
+    }
+
+
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = harness.parser(__doc__, "results/breathing.json")
     parser.add_argument("--arms", type=int, default=32, help="side by side")
     parser.add_argument("--loads", type=int, default=2, help="of each arm")
+    parser.add_argument("--folder", type=Path, required=True, help="of cases; goes on there")
     options = parser.parse_args()
-    cases: list[dict[str, Any]] = []
-    for name in ("cdsm", "cdsm_lab"):
-        for coefficient in FRICTIONS:
-            cases.append(
-                {
-                    "arm": name,
-                    "friction": coefficient,
-                    "breath": breathed(name, coefficient, options),
-                    "passive": passive(name, coefficient, options),
-                }
-            )
+    options.folder.mkdir(parents=True, exist_ok=True)
+    cases = []
+    for name, coefficient in product(ARMS, FRICTIONS):
+        path = options.folder / f"{name}_{coefficient:.2f}.json"
+        cases.append(harness.kept(path, partial(compared, name, coefficient, options)))
     result = {"seed": SEED, "arms": options.arms, "cases": cases}
     harness.publish("breathing.json", result, options, "numpy")
 
