@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from cablesense_plants.arm.blind_cases import record_cases
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
 from cablesense_plants.arm.listed import LISTED
-from cablesense_plants.cases import NONE, different, in_turn
+from cablesense_plants.cases import NONE, in_turn
 from cablesense_recording.reading import read_recording
 from cablesense_sim.arm import find_arm, open_arm
 
@@ -76,7 +77,7 @@ def _kinds(options: Any) -> list[str]:
     """Nothing and one effect in turn, none of which comes twice before all have come once."""
     rng = np.random.default_rng([options.seed])
     quick = [name for name in LISTED if name not in _SLOW]
-    effects = different(in_turn(rng, quick), options.count // 2)
+    effects = list(islice(in_turn(rng, quick), options.count // 2))
     return [effects[k // 2] if k % 2 else NONE for k in range(options.count)]
 
 

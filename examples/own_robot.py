@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from cablesense_base.installation import config_path
-from cablesense_gap.report.text import headline
+from cablesense_gap.report.text import headline, size_lines
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_robot_recording
 from cablesense_gap.robot.system import diagnose
@@ -55,15 +55,10 @@ def record(model_file: Path, recording: Path) -> None:
 
 
 def main(model_file: Path, recording: Path) -> None:
-    """Print which effects explain the gap, with their values."""
+    """Print which effects explain the gap, and how large they are."""
     robot = load_robot(model_file)
     verdict = diagnose(read_robot_recording(recording, robot), robot).verdict
-    print(headline(verdict))
-    for parameter, value in verdict.parameters.items():
-        print(f"  {parameter}: {value.value:.3g} {value.unit}")
-    removed = verdict.gap.removed_fraction
-    gap = verdict.gap
-    print(f"gap: {gap.before_n:.1f} to {gap.after_n:.1f} {verdict.unit}, {removed:.0%} removed")
+    print(headline(verdict), *size_lines(verdict), sep="\n")
 
 
 def planted(folder: Path = Path("out/own_robot")) -> tuple[Path, Path]:

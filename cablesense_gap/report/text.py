@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -42,6 +43,8 @@ _MOST_KEPT = 3
 _PAYLOAD = "payload"
 _MOST_CHANNELS = 3
 """That a headline names."""
+_MOST_NUMBERS = 4
+"""That a terminal shows of a verdict."""
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
@@ -82,6 +85,32 @@ def headline(verdict: Verdict) -> str:
         (name,) = verdict.effects
         return f"{what} {_comes(verdict.probability)} from {cause(verdict, name)} ({sure})."
     return f"{what} {_causes(verdict)}; together they are {sure}."
+
+
+def size_lines(verdict: Verdict) -> list[str]:
+    """How large the named effects are, and what they leave of the gap; none of no effect."""
+    if not verdict.parameters:
+        return []
+    lines = [
+        _number_line(name, estimate)
+        for name, estimate in islice(verdict.parameters.items(), _MOST_NUMBERS)
+    ]
+    further = len(verdict.parameters) - _MOST_NUMBERS
+    if further > 0:
+        lines.append(f"  and {further} more in the report")
+    gap = verdict.gap
+    after_n = gap.after_n if gap.effects_n is None else gap.effects_n
+    before = size_text(gap.before_n, verdict.unit)
+    after = size_text(after_n, verdict.unit)
+    lines.append(
+        f"With that, the gap of trials that were not fitted falls from {before} to {after}."
+    )
+    return lines
+
+
+def _number_line(name: str, estimate: FittedNumber) -> str:
+    value, interval = with_interval(estimate)
+    return f"  {name}: {_with_unit(value, estimate)} ({interval})"
 
 
 def unlisted_text(verdict: Verdict) -> str:

@@ -131,7 +131,12 @@ def diagnose(
     else:
         from cablesense_gap.report.next_step import Given, robot_next_step
         from cablesense_gap.report.page import write_robot_diagnosis
-        from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
+        from cablesense_gap.report.text import (
+            coverage_sentence,
+            earlier_sentence,
+            headline,
+            size_lines,
+        )
         from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_robot_recording
         from cablesense_gap.robot.system import diagnose as make
@@ -178,7 +183,7 @@ def diagnose(
         sentences = (*diagnosis.warnings, *diagnosis.notes)
         more = [sentence for sentence in sentences if sentence not in said]
         earlier = [earlier_sentence(each, of_robot=True) for each in verdict.earlier]
-        lines = [*more, headline(verdict), *earlier]
+        lines = [*more, headline(verdict), *size_lines(verdict), *earlier]
         lines += [line for line in (coverage_sentence(verdict), *verdict.doubts) if line]
         lines.append(_next(robot_next_step(verdict, given)))
     if json_output:
@@ -218,7 +223,12 @@ def _diagnosed_arm(
     from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.report.next_step import Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
-    from cablesense_gap.report.text import coverage_sentence, earlier_sentence, headline
+    from cablesense_gap.report.text import (
+        coverage_sentence,
+        earlier_sentence,
+        headline,
+        size_lines,
+    )
     from cablesense_recording.column_map import read_column_map
     from cablesense_recording.reading import read_recording
     from cablesense_sim.arm import find_arm, load_arm
@@ -248,7 +258,7 @@ def _diagnosed_arm(
         )
     given = Given(str(recording), arm, str(out))
     write_diagnosis(out, diagnosis, given=given)
-    lines = [*recorded.notes, headline(diagnosis.verdict)]
+    lines = [*recorded.notes, headline(diagnosis.verdict), *size_lines(diagnosis.verdict)]
     lines += [line for line in (coverage_sentence(diagnosis.verdict),) if line]
     lines += [*map(earlier_sentence, diagnosis.verdict.earlier)]
     if len(diagnosis.recording) < len(recorded):
