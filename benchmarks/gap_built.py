@@ -11,6 +11,7 @@ others hide one listed effect, whose gap is 3 to 10 times the one that the arm's
 from __future__ import annotations
 
 import os
+import time
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -67,8 +68,9 @@ def main() -> None:
         list(track(made, "Recording", total=len(kinds)))
     answers = read_answers(answers_file)
     paths = [folder / f"{answer.recording}.csv" for answer in answers]
-    outcomes = in_pool(_finished, paths, options.workers)
-    done = {path.stem: outcome for path, outcome in zip(paths, outcomes, strict=True)}
+    work = partial(_finished, until_s=time.time() + 60.0 * options.minutes)
+    outcomes = in_pool(work, paths, options.workers)
+    done = {path.stem: outcome for path, outcome in zip(paths, outcomes, strict=True) if outcome}
     result = {"arm": ARM, "seed": options.seed, "scale": options.scale}
     harness.publish("gap_built.json", {**result, **blind_sets.scored(answers, done)}, options)
 
@@ -81,8 +83,8 @@ def _kinds(options: Any) -> list[str]:
     return [effects[k // 2] if k % 2 else NONE for k in range(options.count)]
 
 
-def _finished(path: Path) -> blind_sets.Finished | None:
-    return blind_sets.finished(path.with_name(f"{path.stem}."), np.inf, partial(_diagnosed, path))
+def _finished(path: Path, until_s: float) -> blind_sets.Finished | None:
+    return blind_sets.finished(path.with_name(f"{path.stem}."), until_s, partial(_diagnosed, path))
 
 
 def _diagnosed(path: Path) -> tuple[Verdict, float]:
