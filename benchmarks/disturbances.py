@@ -60,7 +60,8 @@ TIMESTEP_S = 1e-3
 JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
 FALSE_N = 2.0
 VOUCHED = (ForceState.CONTACT, ForceState.MOMENT)
-QUIET = (ForceState.FREE, ForceState.UNCONFIRMED)
+QUIET = (ForceState.FREE, ForceState.HIDDEN, ForceState.UNCONFIRMED)
+"""No contact is vouched for."""
 
 
 class ChangingArm(TestedArm):

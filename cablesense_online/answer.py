@@ -29,6 +29,7 @@ class Answer:
     """The answer to one sample; by default that of none.
 
     Attributes:
+        force: what is stated of the force, or why nothing is.
         contacts: all estimated contacts, the strongest first.
         estimate: the estimate behind a single contact, or none; None without an estimate.
         contact_m: (N,) where on its axis each segment is touched; empty without an estimate.

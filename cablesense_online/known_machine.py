@@ -26,6 +26,7 @@ from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.slides import Belief
 from cablesense_online.loading import load
+from cablesense_online.samples import ReadingLimits, SampleError
 
 
 @dataclass(frozen=True)
@@ -131,12 +132,21 @@ class KnownMachine:
         return replace(self, calibration=calibrator.updated(self.calibration, unloaded))
 
     def touch(self, reading: Array, command: Array) -> Touch:
-        """What a reading (M,) at a command (C,) says."""
+        """What a reading (M,) at a command (C,) says.
+
+        Raises:
+            SampleError: as `touches`.
+        """
         return self.touches(np.asarray(reading)[np.newaxis], np.asarray(command)[np.newaxis])[0]
 
     def touches(self, readings: Array, commands: Array) -> Sequence[Touch]:
-        """What readings (B, M) at commands (B, C) say, each for itself."""
+        """What readings (B, M) at commands (B, C) say, each for itself.
+
+        Raises:
+            SampleError: a reading is not finite, saturated, or one that no such cable gives.
+        """
         machine = self.machine
+        _require_usable(readings, ReadingLimits(machine.channels))
         by_calibration = Belief(self.calibration.mean, self.calibration.covariance)
         belief = machine.slides.carried(by_calibration, machine.slides.unknown)
         unrest = torque_covariance_at_rest(machine)
@@ -147,6 +157,15 @@ class KnownMachine:
             seen = posterior.row(row)
             touches.append(_touch(seen, judge(seen, reading), machine.link_names))
         return touches
+
+
+def _require_usable(readings: Array, limits: ReadingLimits) -> None:
+    for number, reading in enumerate(readings, start=1):
+        try:
+            limits.check(reading.tolist())
+        except SampleError as problem:
+            text = f"reading {number} of {len(readings)}: {problem}"
+            raise SampleError(problem.kind, text) from None
 
 
 def _touch(seen: LawOutput, judgement: Judgement, link_names: Sequence[str]) -> Touch:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import isfinite
+from math import inf, isfinite, nextafter
 from typing import Final, NoReturn
 
 from cablesense_base import CableSenseError
@@ -53,7 +53,9 @@ class ReadingLimits:
     def __init__(self, channels: ChannelLimits) -> None:
         self._channels = channels
         self._limits = [
-            (low, high) if isfinite(low) or isfinite(high) else _plausible(unit)
+            (_refused_up_to(low, unit), high)
+            if isfinite(low) or isfinite(high)
+            else _plausible(unit)
             for low, high, unit in zip(
                 channels.lowest.tolist(), channels.highest.tolist(), channels.units, strict=True
             )
@@ -78,7 +80,9 @@ class ReadingLimits:
 
     def _refuse(self, number: int, reading: float, low: float, high: float) -> NoReturn:
         unit = self._channels.units[number]
-        given = isfinite(self._channels.lowest[number]) or isfinite(self._channels.highest[number])
+        lowest = self._channels.lowest[number]
+        highest = self._channels.highest[number]
+        given = isfinite(lowest) or isfinite(highest)
         if not isfinite(reading):
             kind = ProblemKind.NOT_FINITE
             text = "; it must be a finite number"
@@ -86,10 +90,16 @@ class ReadingLimits:
             text = f"; no cable of such an arm is outside {low:g} … {high:g} {unit}"
             kind = ProblemKind.IMPLAUSIBLE
         else:
-            text = f", at the end of the sensors' range {low:g} … {high:g} {unit}; unload the arm"
+            text = f", at an end of the sensors' range {lowest:g} … {highest:g} {unit}"
+            text += "; unload the arm" if reading >= highest else "; check the sensor's zero"
             kind = ProblemKind.SATURATED
         name = self._channels.names[number]
         raise SampleError(kind, f"effort of {name} is {reading:g} {unit}{text}")
+
+
+def _refused_up_to(lowest: float, unit: str) -> float:
+    """Where a tension sensor's range ends at zero, that is what a slack cable reads."""
+    return nextafter(0.0, -inf) if lowest == 0.0 and unit == "N" else lowest
 
 
 def _plausible(unit: str) -> tuple[float, float]:

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.estimate import NORMAL_95, Estimate
+from cablesense_contact.estimate import Estimate
 
 _HALF_SWING_NS = 150_000_000
 """An arm on cables swings with some 5 to 20 Hz; half a period of the slowest."""
-_SMALLEST_HALF_N = 0.5
-"""Half intervals of forces are at least so wide: changes below this are no transient."""
+_HALF_STD = 3.29
+"""Half of the interval that holds 99.9 % of a normal number, in standard deviations. Two numbers
+that differ by noise alone are farther apart than two such halves once in 300,000 pairs."""
 _SHORTEST_LEVER_M = 1e-3
 """A contact nearer to the first joint counts as there."""
 
@@ -30,7 +31,7 @@ class RecentTorques:
     Attributes:
         stamps_ns: (K,) of the samples.
         torques_n_m: (K, 2) along two axes across the arm.
-        halves_n_m: (K,) halves of their 95 % intervals.
+        halves_n_m: (K,) halves of their 99.9 % intervals.
     """
 
     stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -50,8 +51,7 @@ def with_torque(
     angle = math.radians(estimate.angle_deg)
     size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
     torque_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
-    half_n = max(NORMAL_95 * estimate.magnitude_std_n, _SMALLEST_HALF_N)
-    half_n_m = half_n * max(lever_m, _SHORTEST_LEVER_M)
+    half_n_m = _HALF_STD * estimate.magnitude_std_n * max(lever_m, _SHORTEST_LEVER_M)
     passed_ns = stamp_ns - before.stamps_ns
     is_recent = (passed_ns >= 0) & (passed_ns <= _HALF_SWING_NS)
     torques_n_m = before.torques_n_m[is_recent]

@@ -130,7 +130,11 @@ class Actuators(FilePart):
 
 
 class Sensors(FilePart):
-    """Tension sensors at the actuator ends: Gaussian noise, then rounding to a step."""
+    """Tension sensors at the actuator ends: Gaussian noise, then rounding to a step.
+
+    `range_n` are the lowest and highest reading. A sample with a reading at either end is refused,
+    as the tension may be beyond it; but zero, as the lowest, is what a slack cable reads.
+    """
 
     place: Literal["actuator end"]
     rate_hz: Annotated[Number, Field(gt=0.0, le=10_000.0)]
@@ -304,7 +308,12 @@ class Arm(FilePart):
 
     @property
     def identity(self) -> str:
-        """Name and the first 12 hex digits of the SHA-256 of what its tensions follow from."""
+        """Name and the first 12 hex digits of the SHA-256 of what its tensions follow from.
+
+        By it a model or a calibration is known to be of this arm. Every key of an arm file counts
+        but those that are left out here: a new key makes all models and calibrations of all arms
+        unfit, unless it says nothing of tensions and is left out, too.
+        """
         content = self.model_dump(mode="json", exclude={"touch", "tolerances"})
         text = json.dumps(content, sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"

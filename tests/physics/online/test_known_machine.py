@@ -9,6 +9,7 @@ from cablesense_contact.calibration import CalibrationError
 from cablesense_contact.errors import ModelFileError
 from cablesense_contact.judgement import ContactState
 from cablesense_online import KnownMachine
+from cablesense_online.samples import SampleError
 from cablesense_sim import mechanism_of, normal_force_n, open_arm, solve_equilibrium
 
 POSE_RAD = np.deg2rad([5.0, 0.0, -5.0, 3.0, 0.0, 0.0, 2.0, -4.0])
@@ -84,3 +85,11 @@ def test_a_wrong_channel_has_no_link_and_is_named(tared, pushed):
 def test_a_network_of_the_paper_takes_no_tare():
     with pytest.raises(ModelFileError, match="export"):
         KnownMachine.load("cdsm", "peers/cdsm_two_stage")
+
+
+def test_a_reading_that_no_cable_gives_is_refused_and_named():
+    arm = KnownMachine.load("cdsm_lab")
+    readings_n = np.full((2, 12), 50.0)
+    readings_n[1, 4] = 25_000.0
+    with pytest.raises(SampleError, match=r"reading 2 of 2: effort of cable_5 is 25000 N"):
+        arm.touches(readings_n, np.zeros((2, 8)))

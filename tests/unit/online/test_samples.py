@@ -68,7 +68,8 @@ def changed(cable, tension):
     [
         *((None, value, ProblemKind.NOT_FINITE) for value in (math.nan, math.inf, -math.inf)),
         *((None, value, ProblemKind.IMPLAUSIBLE) for value in (-21.0, 1e5, 1e308)),
-        *(((0.0, 500.0), value, ProblemKind.SATURATED) for value in (0.0, 500.0, 501.0, -1.0)),
+        *(((0.0, 500.0), value, ProblemKind.SATURATED) for value in (500.0, 501.0, -1.0)),
+        ((-50.0, 500.0), -50.0, ProblemKind.SATURATED),
     ],
 )
 @pytest.mark.parametrize("cable", [1, 12])
@@ -80,6 +81,7 @@ def test_readings_that_no_cable_carries_are_refused_by_cable(cable, range_n, ten
 
 def test_slack_cables_are_named_and_no_fault():
     limits(None).check(changed(3, -1.0))
+    limits((0.0, 500.0)).check(changed(3, 0.0))
     units = ["N"] * len(GOOD)
     assert slack_cables(changed(3, -1.0), units, 1.0) == (3,)
     assert slack_cables(GOOD, units, 1.0) == ()

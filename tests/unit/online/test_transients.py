@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
-from cablesense_contact.estimate import NORMAL_95, Estimate
+from cablesense_contact.estimate import Estimate
 from cablesense_online.transients import RecentTorques, with_torque
 
 HALF_N = 1.0
+HALF_STD = 3.29
 LEVER_M = 0.2
 MS = 1_000_000
 SWINGS_MS = 150
 
 
 def contact(magnitude_n, angle_deg=90.0, segment=2):
-    """With half an interval of its force of 1 N."""
-    std_n = HALF_N / NORMAL_95
+    """With half a 99.9 % interval of its force of 1 N."""
+    std_n = HALF_N / HALF_STD
     return Estimate(
         np.array([0.0, 0.0, 1.0]), segment, angle_deg, magnitude_n, std_n, 1.0, 0.0, 100.0
     )
