@@ -343,3 +343,18 @@ def test_where_a_load_is_taken_off_cables_slide_back():
     released = under_load.after(untouched_n + 0.2 * push_n).slides
     turned = np.abs(0.8 * push_n) > 0.4
     assert_array_equal(released.mean[0, turned], -np.sign(push_n[turned]))
+
+
+def test_a_coefficient_below_zero_counts_as_none():
+    """So it may be after readings of an arm whose cables do not rub."""
+    untouched_n = np.full(12, 50.0)
+    push_n = np.linspace(-9.0, 9.0, 12)
+    (slides, of_none) = (
+        SLIDES.under_load(np.zeros(8), untouched_n, with_friction(coefficient))
+        .after(untouched_n + push_n)
+        .slides
+        for coefficient in (-0.01, 0.0)
+    )
+    assert_array_equal(slides.mean, of_none.mean)
+    assert_array_equal(slides.std, of_none.std)
+    assert (slides.std > 0.0).all()
