@@ -156,13 +156,14 @@ def subscribe_to_one(
     take: Callable[[bytes], object],
     refuse: Callable[[SampleError], object],
     accept: Callable[[int, float], bool] | None = None,
+    turn_s: float = _TURN_S,
     **events: Callable[[Any], None],
 ) -> Subscription:
     """A raw subscription: `take` gets the messages of one publisher, never of two in turn.
 
     The events executor of rclpy gives messages until there are none. Where they come faster than
     `take` is done with them, nothing else would ever run: no command, no service, no timer, not
-    even the end of the process. So those that wait after a turn are left out.
+    even the end of the process. So those that wait after `turn_s` are left out.
 
     `refuse` gets why a message of another is not used. `accept` stands in place of
     `publisher.accept`, which it calls. `events` are callbacks by the names of rclpy.
@@ -189,7 +190,7 @@ def subscribe_to_one(
         began_s = time.monotonic()
         receive_one(message, information)
         while waiting := _waiting(subscription):
-            if time.monotonic() < began_s + _TURN_S:
+            if time.monotonic() < began_s + turn_s:
                 receive_one(*waiting)
 
     # rclpy looks at the signature for whether information is wanted

@@ -33,6 +33,8 @@ from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
 
+_TURN_S = 1.0
+"""For which samples are written that come without a pause; what then waits is lost."""
 _COUNTED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS, topics.APPLIED_WRENCH, topics.WRENCH)
 
 
@@ -131,7 +133,10 @@ class Recorder:
         take = partial(self._take, topic, name, kind)
         if topic == topics.CABLE_TENSIONS:
             refuse = partial(self._leave_out, topic)
-            subscribe_to_one(node, kind, name, of.requested, FollowedPublisher(), take, refuse)
+            publisher = FollowedPublisher()
+            subscribe_to_one(
+                node, kind, name, of.requested, publisher, take, refuse, turn_s=_TURN_S
+            )
         else:
             node.create_subscription(kind, name, take, qos_profile(of.requested), raw=True)
 
