@@ -312,19 +312,19 @@ def cause(verdict: Verdict, name: str) -> str:
     return f"{about} at {named}{_law_text(verdict, name, places)}" if places else about
 
 
-_LAW = "'s law"
 _NAMED_LAWS = ("Coulomb", "Dahl", "Stribeck", "LuGre")
 
 
 def _law_text(verdict: Verdict, name: str, places: Sequence[str]) -> str:
-    """The law of dry friction as the end of a phrase, if held-out trials tell it."""
+    """The model of dry friction as the end of a phrase, if held-out trials tell it."""
     known = [verdict.forms[place] for place in places if place in verdict.forms]
     if name != "joint_friction" or not known:
         return ""
     if not all(form.determined for form in known):
         return ", whose form is not determined"
     laws = [law for law in _NAMED_LAWS if any(form.law.startswith(law) for form in known)]
-    return f" by {listed([law + _LAW for law in laws])}" if laws else ""
+    models = "model" if len(laws) == 1 else "models"
+    return f" by the {listed(laws)} {models}" if laws else ""
 
 
 def _loads(verdict: Verdict, bodies: tuple[str, ...]) -> list[str]:

@@ -115,7 +115,7 @@ def test_friction_is_named_with_its_law(tmp_path, lost, effect, laws):
     assert form.determined
     assert form.left_n[form.law] < 2.0
     if effect == "joint_friction":
-        assert cause(verdict, effect) == f"dry friction at elbow by {form.law}'s law"
+        assert cause(verdict, effect) == f"dry friction at elbow by the {form.law} model"
 
 
 HOIST = """<mujoco model="hoist"><worldbody><body name="load">
