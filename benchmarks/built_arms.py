@@ -139,11 +139,11 @@ CASES = {
     "channel 5 N more": Case(fault=one_channel(lambda reading_n: reading_n + 5.0)),
     "channel 20 N more": Case(fault=one_channel(lambda reading_n: reading_n + 20.0)),
     "channel zero": Case(fault=one_channel(lambda _: 0.0)),
-    "friction 0.02, not stated, tare": Case(friction=0.02, poses=1),
     "friction 0.02, not stated": Case(friction=0.02),
     "friction 0.05": Case(friction=0.05, listed=True),
     "friction 0.10": Case(friction=0.10, listed=True),
     "friction 0.15": Case(friction=0.15, listed=True),
+    "friction 0.02, not stated, tare": Case(friction=0.02, poses=1),
 }
 
 STIFF_CASES = {
