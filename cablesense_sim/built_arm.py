@@ -10,10 +10,14 @@ from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import LEAST_CABLE_SHARE, Mechanism
 from cablesense_sim.tolerances import ArmParameters
 
 _FRICTION = "capstan_friction"
+_SCATTER_ARMS = 20
+"""Draws by which the scatter of arms is told to within a sixth."""
+_SCATTER_BEND_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -81,3 +85,26 @@ def built_arm(arm: Arm, seed: int) -> BuiltArm:
         theta[slices["sensor_gain"]],
         theta[slices["sensor_zero"]],
     )
+
+
+def unloaded_scatter_n(arm: Arm) -> float:
+    """By how much arms that are built within a file's tolerances read otherwise than it says, N.
+
+    Root mean square over cables and arms, untouched, in poses within 10 degrees; before any tare,
+    and without the effects that the file lists. Infinite where no such arm finds rest.
+    """
+    nominal = mechanism_of(arm)
+    bend_rad = np.deg2rad(_SCATTER_BEND_DEG)
+    squares_n2 = []
+    for seed in range(_SCATTER_ARMS):
+        built = built_arm(arm, seed)
+        rng = np.random.default_rng(seed)
+        command_rad = rng.uniform(-bend_rad, bend_rad, arm.joint_count)
+        held_m = held_lengths_m(nominal, command_rad + built.joint_zeros_rad)
+        try:
+            of_file_n = solve_equilibrium(nominal, command_rad).tensions_n
+            of_built_n = solve_equilibrium(built.mechanism, command_rad, held_m=held_m).tensions_n
+        except EquilibriumError:
+            continue
+        squares_n2.append(np.mean((built.read(of_built_n) - of_file_n) ** 2))
+    return float(np.sqrt(np.mean(squares_n2))) if squares_n2 else np.inf

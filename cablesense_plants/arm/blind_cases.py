@@ -89,7 +89,8 @@ def record_cases(
     has a name for; `reference/` gets a recording of each arm before anything else was hidden. With
     a `workmanship` arms are built as `cablesense_plants.arm.built` does. With `plain`, what is
     hidden stands out of an arm's tolerances: its gap is drawn from the grossest range of
-    `_FLOORS`. The same seed makes the same files, whatever the number of processes.
+    `_FLOORS`, and at least three times that of an arm as a workshop builds it. The same seed makes
+    the same files, whatever the number of processes.
 
     Raises:
         PlantError: an unknown kind in `only`, sensors that are perfect, or a place that cannot be
@@ -252,6 +253,7 @@ def _recorded(
     else:
         plain_arm = built_as(nominal, workmanship, rng)
         built_n = gap_n(plain_arm.signals_n(*done), drawn.signals_n(*done))
+    least_plain_n = _BUILT[0] * _workshop_n(nominal, drawn, *done) if only_plain else 0.0
     for name in rng.choice(_LACKING, 2, replace=False) if imperfect else ():
         change = UNLISTED[str(name)](ArmDraw(rng, nominal))
         lacked_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(_LACKED))))
@@ -269,6 +271,7 @@ def _recorded(
             else:
                 bounds = _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
+            wanted_n = max(wanted_n, least_plain_n)
             if workmanship is not None:
                 wanted_n = built_n * float(np.exp(rng.uniform(*np.log(_BUILT))))
             size, alone_n = _sized(change, plain_arm, wanted_n, *done)
@@ -308,6 +311,12 @@ def _recorded(
             again = _schedules(drawn, noise_rng)
             recordings[part] = again[0], nominal.read_n(machine.signals_n(*again), noise_rng)
     return CaseRecording(answer, recordings)
+
+
+def _workshop_n(nominal: Nominal, drawn: RealArm, schedule: Schedule, history: Schedule) -> float:
+    """The gap between an arm as a workshop builds it and the arm as drawn."""
+    built = built_as(nominal, Workmanship(), np.random.default_rng(nominal.cable_count))
+    return gap_n(built.signals_n(schedule, history), drawn.signals_n(schedule, history))
 
 
 def _schedules(arm: RealArm, rng: np.random.Generator) -> tuple[Schedule, Schedule]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -32,6 +32,7 @@ from cablesense_ros.cli.options import (
 from cablesense_ros.cli.summaries import arm_lines, effect_lines, model_lines
 from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.built_arm import unloaded_scatter_n
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.load_capacity import (
@@ -49,6 +50,8 @@ from cablesense_sim.touch import touched_places
 Description = dict[str, Any]
 _SLOWEST_HZ = 2.0
 """Slower sensors are questioned, as the rate looks like one in another unit."""
+_SCATTER_SHARE = 0.5
+"""Of the pretension, by which arms may scatter: two such deviations take a cable slack."""
 
 
 def info(
@@ -263,15 +266,31 @@ def _arm(name: str) -> Description:
             "contact_range_n": contact_range_n(arm),
         },
         "breath": _breath(arm),
+        "unloaded_scatter_n": unloaded_scatter_n(arm),
         "effects": [_listed_effect(arm, entry) for entry in entries_of(arm)],
     }
-    if (rate_hz := arm.sensors.rate_hz) < _SLOWEST_HZ:
-        description["questions"] = [
+    if questions := list(_questions(arm, description["unloaded_scatter_n"])):
+        description["questions"] = questions
+    return description
+
+
+def _questions(arm: Arm, scatter_n: float) -> Iterator[str]:
+    """What is possible in an arm file, and hardly meant."""
+    rate_hz = arm.sensors.rate_hz
+    if rate_hz < _SLOWEST_HZ:
+        yield (
             f"sensors.rate_hz = {rate_hz:g}: is a reading every {1.0 / rate_hz:g} s meant? A "
             f"contact is over by then; it must be in Hz: {1e3 * rate_hz:g} if given in kHz, "
             f"{1.0 / rate_hz:g} if it is a period in s"
-        ]
-    return description
+        )
+    pretension_n = float(mechanism_of(arm).pretension_n.min())
+    if scatter_n > _SCATTER_SHARE * pretension_n:
+        holes_mm = 1e3 * arm.tolerances.hole_radial_m
+        yield (
+            f"tolerances: arms that are built so read {scatter_n:.0f} N (RMS) otherwise than the "
+            f"file says, with a pretension of {pretension_n:g} N, and little stands out of that. "
+            f"With cables this stiff, are holes no more precise than {holes_mm:g} mm?"
+        )
 
 
 def _listed_effect(arm: Arm, entry: Any) -> Description:

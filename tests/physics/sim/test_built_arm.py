@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from cablesense_sim.arm import open_arm
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.built import BuiltArm, Workmanship
+from cablesense_sim.arm import find_arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.built_arm import as_described, built_arm
+from cablesense_sim.built_arm import as_described, built_arm, unloaded_scatter_n
 from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics, moving_arm
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.tolerances import Tolerances
@@ -76,3 +78,24 @@ def test_listed_friction_has_a_coefficient_of_its_own():
     moving = moving_arm(arm, 1e-3, built_arm(arm, 2))
     assert isinstance(moving, ArmQuasiStatics)
     assert np.isfinite(moving.tensions_n).all()
+
+
+def test_arms_scatter_with_their_tolerances():
+    exact = ARM.model_copy(update={"tolerances": ARM.tolerances.scaled(0.0)})
+    twice = ARM.model_copy(update={"tolerances": ARM.tolerances.scaled(2.0)})
+    assert unloaded_scatter_n(exact) == pytest.approx(0.0, abs=1e-9)
+    assert unloaded_scatter_n(twice) == pytest.approx(2.0 * unloaded_scatter_n(ARM), rel=0.05)
+
+
+def test_arms_scatter_as_those_of_the_independent_plant():
+    of_file = read_nominal(find_arm("cdsm_lab"))
+    exact = Workmanship().scaled(0.0)
+    squares_n2 = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        command_rad = np.deg2rad(rng.uniform(-10.0, 10.0, 8))
+        built = BuiltArm(of_file, Workmanship(), rng)
+        built_n = built.gains * built.tensions_n(command_rad) + built.zeros_n
+        off_n = built_n - BuiltArm(of_file, exact, rng).tensions_n(command_rad)
+        squares_n2.append(np.mean(off_n**2))
+    assert unloaded_scatter_n(ARM) == pytest.approx(np.sqrt(np.mean(squares_n2)), rel=0.2)

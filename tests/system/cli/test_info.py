@@ -43,7 +43,7 @@ def test_an_arm_is_described_with_its_cables() -> None:
     assert "cable_10" not in table
 
 
-@pytest.mark.parametrize("name", ["cdsm", "cdsm_table2", "config/models/cdsm_anywhere.onnx"])
+@pytest.mark.parametrize("name", ["cdsm_lab", "config/models/cdsm_anywhere.onnx"])
 def test_what_an_arm_or_a_model_is_takes_some_lines_without_keys(name: str) -> None:
     lines = shown(name).splitlines()
     assert len(lines) <= 9
@@ -62,10 +62,15 @@ def test_effects_begin_with_a_list() -> None:
 def test_a_sample_rate_in_another_unit_is_questioned(tmp_path: Path) -> None:
     path = tmp_path / "slow.yaml"
     write_arm(path, variant({"sensors.rate_hz": 0.5}), "")
-    (question,) = described(str(path))["questions"]
+    question, *_ = described(str(path))["questions"]
     assert "sensors.rate_hz = 0.5" in question
     assert "500 if given in kHz" in question
-    assert "questions" not in described("cdsm")
+    assert "questions" not in described("cdsm_lab")
+
+
+def test_tolerances_that_may_take_cables_slack_are_questioned() -> None:
+    (question,) = described("cdsm")["questions"]
+    assert "are holes no more precise than 0.1 mm" in question
 
 
 def test_a_model_states_what_it_was_made_for() -> None:
