@@ -143,7 +143,8 @@ class SampleCounts:
             return Level.WARN, f"{others}; {silent}"
         if missing:
             lost = f"{missing} sample{'s' if missing != 1 else ''} lost"
-            return Level.WARN, f"{lost} on the way, as on a busy machine; the others are used"
+            why = "on the way, or left out as they came faster than answers"
+            return Level.WARN, f"{lost} {why}; the others are used"
         return Level.OK, "receiving"
 
 

@@ -19,7 +19,9 @@ from cablesense_online.statuses import SampleCounts
 MS = 1_000_000
 NOW = 1_700_000_000_000 * MS
 
-LOST = "{} samples lost on the way, as on a busy machine; the others are used"
+LOST = (
+    "{} samples lost on the way, or left out as they came faster than answers; the others are used"
+)
 
 
 @pytest.mark.parametrize(
