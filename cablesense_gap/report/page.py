@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cablesense_base import CableSenseError
+from cablesense_base.files import write_atomically
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
@@ -28,13 +29,14 @@ from cablesense_gap.report.style import (
     OTHER,
     WIDTH_IN,
     Line,
+    ReportError,
     as_uri,
     draw_lines,
     rendered,
     style,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
-from cablesense_gap.verdict import CANNOT_TELL, NONE, UNKNOWN, Verdict
+from cablesense_gap.verdict import CANNOT_TELL, NONE, UNKNOWN, Verdict, VerdictError, write_verdict
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 
@@ -66,11 +68,11 @@ def write_diagnosis(
     """Write all three files, each whole or not at all; arguments as `report_page` takes them.
 
     Raises:
-        VerdictError, ReportError: as `text.write_common`.
+        VerdictError, ReportError: a file cannot be written, or the folder not be made.
         ArmFileError: the arm file cannot be written.
     """
     given = given or Given(recording=found.recording.name, out=str(folder))
-    text.write_common(folder, found.verdict, report_page(found, models, given))
+    _write_both(folder, found.verdict, report_page(found, models, given))
     write_arm(folder / AMENDED_ARM, found.amended, text.headline(found.verdict))
 
 
@@ -78,13 +80,28 @@ def write_robot_diagnosis(folder: Path, found: RobotDiagnosis, given: Given | No
     """Write all four files, each whole or not at all.
 
     Raises:
-        VerdictError, ReportError: as `text.write_common`.
+        VerdictError, ReportError: a file cannot be written, or the folder not be made.
         RobotError: the amended model cannot be written.
     """
     from cablesense_gap.robot.amending import write_amended
 
-    text.write_common(folder, found.verdict, robot_page(found, folder.name, given))
+    _write_both(folder, found.verdict, robot_page(found, folder.name, given))
     write_amended(folder, found.system.robot, found.amended, found.beside)
+
+
+def _write_both(folder: Path, verdict: Verdict, page: str) -> None:
+    """Write the verdict and its page into a folder, which is made where there is none.
+
+    Raises:
+        VerdictError: the folder cannot be made, or the verdict not be written.
+        ReportError: the report cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_verdict(folder / "verdict.json", verdict)
+    write_atomically(folder / "report.html", page, ReportError)
 
 
 def report_page(

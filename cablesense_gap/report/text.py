@@ -9,12 +9,10 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.probability import NEAR_BEST
-from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
+from cablesense_gap.report.style import newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
     CANNOT_TELL,
     DECIDING_ERROR,
@@ -25,10 +23,8 @@ from cablesense_gap.verdict import (
     EstimatorErrors,
     FittedNumber,
     Verdict,
-    VerdictError,
     joined,
     listed,
-    write_verdict,
 )
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import EffectDescription, Parameter
@@ -550,18 +546,3 @@ def common_content(verdict: Verdict) -> dict[str, Any]:
         "removed_by_channel": removed_by_channel(verdict),
         "steps": steps(verdict),
     }
-
-
-def write_common(folder: Path, verdict: Verdict, page: str) -> None:
-    """Write the verdict and the report into a folder, which is made where there is none.
-
-    Raises:
-        VerdictError: the folder cannot be made, or the verdict not be written.
-        ReportError: the report cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
-    write_verdict(folder / "verdict.json", verdict)
-    write_atomically(folder / "report.html", page, ReportError)
