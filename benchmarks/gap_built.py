@@ -1,11 +1,11 @@
-"""The diagnosis of arms as a workshop builds them, with nothing or one effect hidden.
+"""The diagnosis of arms as a workshop builds them, with nothing, one effect or several hidden.
 
-    python benchmarks/gap_built.py [--count 8] [--seed 9511] [--scale 1.0] [--kinds A,B] [--write]
+    python benchmarks/gap_built.py [--count 8] [--seed 9511] [--effects 3-5] [--kinds A,B] [--write]
 
 Each arm of the independent plant (`cablesense_plants.arm.built`) has errors of its own, of the
 standard deviations that the arm file states, times `--scale`. Half of the arms hide nothing. The
-others hide one listed effect, whose gap is 3 to 10 times the one that the arm's own errors make;
-`--kinds` names them. Friction and creep are not among them by default, as they take minutes each.
+others hide one listed effect, whose gap is 3 to 10 times the one that the arm's own errors make.
+With `--effects` all hide so many; with `--kinds` those that are named, in turn. Friction and creep are not among them by default, as they take minutes each.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ _SLOW = ("cable_creep", "capstan_friction", "joint_friction")
 
 def main() -> None:
     """Draws, diagnoses, scores and prints; keeps the scores with `--write`."""
-    parser = blind_sets.parser(__doc__, "gap_built.json", seed=9511)
+    parser = blind_sets.parser(__doc__, "gap_built.json, …_several.json, …_kinds.json", seed=9511)
     parser.set_defaults(count=8)
     parser.add_argument("--scale", type=float, default=1.0, help="of the workshop's errors")
     parser.add_argument("--kinds", default="", help="hidden effects, joined by commas")
+    parser.add_argument("--effects", help="how many in each case, from-to, instead of none or one")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
@@ -72,13 +73,26 @@ def main() -> None:
     outcomes = in_pool(work, paths, options.workers)
     done = {path.stem: outcome for path, outcome in zip(paths, outcomes, strict=True) if outcome}
     result = {"arm": ARM, "seed": options.seed, "scale": options.scale}
-    harness.publish("gap_built.json", {**result, **blind_sets.scored(answers, done)}, options)
+    harness.publish(_file_name(options), {**result, **blind_sets.scored(answers, done)}, options)
+
+
+def _file_name(options: Any) -> str:
+    if options.kinds:
+        return "gap_built_kinds.json"
+    return "gap_built_several.json" if options.effects else "gap_built.json"
 
 
 def _kinds(options: Any) -> list[str]:
-    """Nothing and one effect in turn, none of which comes twice before all have come once."""
+    """Nothing and one effect in turn, none of which comes twice before all have come once.
+
+    With `--effects`, so many different ones in each case.
+    """
     rng = np.random.default_rng([options.seed])
     quick = [name for name in LISTED if name not in _SLOW]
+    if options.effects:
+        least, most = map(int, options.effects.split("-"))
+        counts = rng.integers(least, most + 1, options.count)
+        return ["+".join(sorted(rng.choice(quick, size, replace=False))) for size in counts]
     effects = list(islice(in_turn(rng, quick), options.count // 2))
     return [effects[k // 2] if k % 2 else NONE for k in range(options.count)]
 
