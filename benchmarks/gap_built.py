@@ -1,11 +1,13 @@
 """The diagnosis of arms as a workshop builds them, with nothing, one effect or several hidden.
 
-    python benchmarks/gap_built.py [--count 8] [--seed 9511] [--effects 3-5] [--kinds A,B] [--write]
+    python benchmarks/gap_built.py [--count 8] [--seed 9511] [--effects 3-5] [--kinds A,B]
+        [--write]
 
 Each arm of the independent plant (`cablesense_plants.arm.built`) has errors of its own, of the
 standard deviations that the arm file states, times `--scale`. Half of the arms hide nothing. The
 others hide one listed effect, whose gap is 3 to 10 times the one that the arm's own errors make.
-With `--effects` all hide so many; with `--kinds` those that are named, in turn. Friction and creep are not among them by default, as they take minutes each.
+With `--effects` all hide so many; with `--kinds` those that are named, in turn. Friction and creep
+are not among them by default, as they take minutes each.
 """
 
 from __future__ import annotations
