@@ -19,6 +19,8 @@ _USUAL_NOISE = 0.05
 """Noise of a sensor whose actuator states no largest force."""
 _PRETENSION_N = 20.0
 """Of tendons whose model does not say what draws them at rest."""
+_FRICTION = 0.05
+"""Coefficient of steel on bearings or PTFE, at most; in sheaths it is more."""
 _LONG_SHAPES = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -55,10 +57,16 @@ def guessed_machine_file(path: Path) -> str:
         lines += _joints_line(are_held, by_servos=by_servos)
         lines += ["sensors:", "  tension:"]
         lines += _channel_lines(model, {t: drawn.get(t, -1) for t in tendons}, of_tendons=True)
+        cables = []
         if drawn:
             whose = "" if are_held else ", of simulated ones"
             pose = f"in the model's first pose{whose}"
-            lines += ["cables:", f"  pretension_n: {_PRETENSION_N:g}  # {pose}"]
+            cables.append(f"  pretension_n: {_PRETENSION_N:g}  # {pose}")
+        if are_held:
+            where = "over pulleys and through eyelets; 0 where tendons run freely"
+            cables.append(f"  friction_coefficient: {_FRICTION:g}  # at most, {where}")
+        if cables:
+            lines += ["cables:", *cables]
     else:
         lines += _joints_line(False, by_servos=False)
         lines += ["sensors:", "  torque:"]
