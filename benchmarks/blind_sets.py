@@ -80,6 +80,23 @@ def parser(doc: str | None, writes: str, seed: int) -> argparse.ArgumentParser:
     return made
 
 
+class EffectCounts(NamedTuple):
+    """How many effects each case of a set hides."""
+
+    least: int
+    most: int
+
+
+def effect_counts(text: str) -> EffectCounts:
+    """Those of an option such as `3-5`.
+
+    Raises:
+        ValueError, TypeError: the text is no two whole numbers.
+    """
+    ends = [int(end) for end in text.split("-")]
+    return EffectCounts(*ends)
+
+
 def folder_of(options: argparse.Namespace) -> Path:
     """The folder of the set, a new one unless one is given."""
     chosen: Path | None = options.folder

@@ -1,6 +1,6 @@
 """Breathing on the independent plant: forces under friction, passive and after a breath.
 
-    python benchmarks/breathing.py --folder DIR [--arms 32] [--write]
+    python benchmarks/breathing.py [--folder DIR] [--arms 32] [--write]
 
 Cables stick rigidly at every guide and at a pulley of a quarter turn. Half of the arms are
 straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on one segment; the load
@@ -13,6 +13,7 @@ untouched arm rested in the same pose. Errors are of what is stated, `contact` o
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -346,12 +347,13 @@ def main() -> None:
     parser = harness.parser(__doc__, "results/breathing.json")
     parser.add_argument("--arms", type=int, default=32, help="side by side")
     parser.add_argument("--loads", type=int, default=2, help="of each arm")
-    parser.add_argument("--folder", type=Path, required=True, help="of cases; goes on there")
+    parser.add_argument("--folder", type=Path, help="of cases; goes on there")
     options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
+    folder = options.folder or Path(tempfile.mkdtemp(prefix="breathing_"))
+    folder.mkdir(parents=True, exist_ok=True)
     cases = []
     for name, coefficient in product(ARMS, FRICTIONS):
-        path = options.folder / f"{name}_{coefficient:.2f}.json"
+        path = folder / f"{name}_{coefficient:.2f}.json"
         cases.append(harness.kept(path, partial(compared, name, coefficient, options)))
     result = {"seed": SEED, "arms": options.arms, "cases": cases}
     harness.publish("breathing.json", result, options, "numpy")

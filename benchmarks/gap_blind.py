@@ -76,7 +76,9 @@ def main() -> None:
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
     parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
+    parser.add_argument(
+        "--effects", type=blind_sets.effect_counts, help="in each case, as 3-5, not of all kinds"
+    )
     parser.add_argument("--speed", metavar="EFFECTS", help="time of a diagnosis of each")
     parser.add_argument("--rate-hz", type=float, default=5.0, help="of the rows, with --speed")
     parser.add_argument("--exchanged", type=int, help="recordings with two columns exchanged")
@@ -111,8 +113,8 @@ def _blind(options: Any) -> dict[str, Any]:
     if not answers_file.exists():
         rng = np.random.default_rng([options.seed])
         if options.effects:
-            least, most = map(int, options.effects.split("-"))
-            kinds = draw_several(rng, options.count, least, most)
+            counts = options.effects
+            kinds = draw_several(rng, options.count, counts.least, counts.most)
         else:
             kinds = draw_kinds(rng, options.count)
         kinds += [_FRICTION[i % len(_FRICTION)] for i in range(options.friction)]

@@ -48,7 +48,9 @@ def main() -> None:
     parser.set_defaults(count=8)
     parser.add_argument("--scale", type=float, default=1.0, help="of the workshop's errors")
     parser.add_argument("--kinds", default="", help="hidden effects, joined by commas")
-    parser.add_argument("--effects", help="how many in each case, from-to, instead of none or one")
+    parser.add_argument(
+        "--effects", type=blind_sets.effect_counts, help="in each case, as 3-5, not none or one"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
@@ -92,8 +94,8 @@ def _kinds(options: Any) -> list[str]:
     rng = np.random.default_rng([options.seed])
     quick = [name for name in LISTED if name not in _SLOW]
     if options.effects:
-        least, most = map(int, options.effects.split("-"))
-        counts = rng.integers(least, most + 1, options.count)
+        wanted = options.effects
+        counts = rng.integers(wanted.least, wanted.most + 1, options.count)
         return ["+".join(sorted(rng.choice(quick, size, replace=False))) for size in counts]
     effects = list(islice(in_turn(rng, quick), options.count // 2))
     return [effects[k // 2] if k % 2 else NONE for k in range(options.count)]

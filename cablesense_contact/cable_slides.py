@@ -162,8 +162,7 @@ class CableSlides:
             self.unknown if arrived is None else arrived,
             untouched_n,
             self._routes.moved_n,
-            # by readings of an arm that does not rub, the mean may lie below zero
-            friction=max(float(known.mean[self._coefficient]), 0.0),
+            friction=float(known.mean[self._coefficient]),
         )
 
     def rounded(self, slides: Slides) -> tuple[bytes, Slides]:

@@ -44,7 +44,8 @@ _STEADY_SHARE = 0.6
 _STANDS_SHARE = 0.2
 """As long as the mean has changed by less than this share of it, one deviation, slides stay."""
 _LEAST_FRICTION = 1e-4
-"""In place of a coefficient whose mean is zero or less: something is divided by it."""
+"""In place of a coefficient whose mean is zero, or below it by readings of an arm that does not
+rub: something is divided by it."""
 _LEAST_INFORMATION_SHARE = 1e-9
 _LEAST_INFORMATION_M2 = 1e-12
 """Added to the information of how joints give way, as a share of all of it and at the least, so
@@ -111,7 +112,7 @@ class SlidesAtPose:
         holding_n = np.maximum(holding_n_rad * self._first_wrap_rad, _LEAST_HELD_N)
         # tensions behind the first guide, by which the pieces there stretch: known where it slides
         slid = np.where(moved, np.sign(change_n), before.mean[0])
-        carried = friction * self._first_wrap_rad
+        carried = coefficient * self._first_wrap_rad
         behind_n = now_n * np.exp(carried * slid) - before_n * np.exp(carried * before.mean[0])
         behind_std_n = moved_n + np.where(moved, SLIDING_STD, 1.0) * holding_n
         # what the other guides carry is not known here: of each piece behind them
@@ -137,7 +138,7 @@ class SlidesAtPose:
         play_m = np.maximum(self._play_m_rad * holding_n_rad[:, None], _LEAST_PLAY_M)
         earlier = Slides(before.mean[1:], before.std[1:])
         guides = played(earlier, KnownLengths(passed_m.T, passed_std_m.T), play_m.T)
-        guides = self._doubted(guides, friction)
+        guides = self._doubted(guides, coefficient)
         stands_std = np.hypot(SLIDING_STD, stands_std_n / holding_n)
         first_mean = np.where(moved, slid, stands)
         first_std = np.where(moved, self._slid_std(change_n, holding_n), stands_std)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from argparse import Namespace
 
 import pytest
+from blind_sets import EffectCounts
 from gap_built import _kinds
 
 from cablesense_plants.arm.listed import LISTED
 from cablesense_plants.cases import NONE
 
 
-def drawn(count: int, effects: str | None = None) -> list[str]:
+def drawn(count: int, effects: EffectCounts | None = None) -> list[str]:
     return _kinds(Namespace(seed=1, count=count, effects=effects))
 
 
@@ -30,7 +31,7 @@ def test_no_effect_comes_twice_before_all_have_come_once():
 
 
 def test_several_effects_of_an_arm_differ():
-    for kind in drawn(20, effects="3-5"):
+    for kind in drawn(20, effects=EffectCounts(3, 5)):
         names = kind.split("+")
         assert 3 <= len(names) <= 5
         assert len(set(names)) == len(names)

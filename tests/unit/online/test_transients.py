@@ -1,5 +1,7 @@
 """A force that has just changed: by more than its intervals, faster than the arm comes to rest."""
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from cablesense_contact.estimate import Estimate
 from cablesense_online.transients import RecentTorques, with_torque
 
 HALF_N = 1.0
-HALF_STD = 3.29
+HALF_STD = NormalDist().inv_cdf(0.9995)
+"""Half of an interval of 99.9 %."""
 LEVER_M = 0.2
 MS = 1_000_000
 SWINGS_MS = 150
