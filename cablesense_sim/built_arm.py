@@ -87,11 +87,11 @@ def built_arm(arm: Arm, seed: int) -> BuiltArm:
     )
 
 
-def unloaded_scatter_n(arm: Arm) -> float:
+def unloaded_scatter_n(arm: Arm) -> float | None:
     """By how much arms that are built within a file's tolerances read otherwise than it says, N.
 
     Root mean square over cables and arms, untouched, in poses within 10 degrees; before any tare,
-    and without the effects that the file lists. Infinite where no such arm finds rest.
+    and without the effects that the file lists. None where no such arm finds rest.
     """
     nominal = mechanism_of(arm)
     bend_rad = np.deg2rad(_SCATTER_BEND_DEG)
@@ -107,4 +107,4 @@ def unloaded_scatter_n(arm: Arm) -> float:
         except EquilibriumError:
             continue
         squares_n2.append(np.mean((built.read(of_built_n) - of_file_n) ** 2))
-    return float(np.sqrt(np.mean(squares_n2))) if squares_n2 else np.inf
+    return float(np.sqrt(np.mean(squares_n2))) if squares_n2 else None

@@ -274,7 +274,7 @@ def _arm(name: str) -> Description:
     return description
 
 
-def _questions(arm: Arm, scatter_n: float) -> Iterator[str]:
+def _questions(arm: Arm, scatter_n: float | None) -> Iterator[str]:
     """What is possible in an arm file, and hardly meant."""
     rate_hz = arm.sensors.rate_hz
     if rate_hz < _SLOWEST_HZ:
@@ -284,7 +284,9 @@ def _questions(arm: Arm, scatter_n: float) -> Iterator[str]:
             f"{1.0 / rate_hz:g} if it is a period in s"
         )
     pretension_n = float(mechanism_of(arm).pretension_n.min())
-    if scatter_n > _SCATTER_SHARE * pretension_n:
+    if scatter_n is None:
+        yield "tolerances: no arm that is built so finds rest; are they meant to be so large?"
+    elif scatter_n > _SCATTER_SHARE * pretension_n:
         holes_mm = 1e3 * arm.tolerances.hole_radial_m
         yield (
             f"tolerances: arms that are built so read {scatter_n:.0f} N (RMS) otherwise than the "

@@ -122,6 +122,9 @@ def arm_lines(content: Values) -> list[str]:
     step = "" if sensors["step_n"] is None else f", steps of {sensors['step_n']:g} N"
     effects = ", ".join(effect["effect"] for effect in content["effects"])
     scatter_n = content["unloaded_scatter_n"]
+    built = (
+        "it finds no rest" if scatter_n is None else f"it reads {scatter_n:.2g} N otherwise (RMS)"
+    )
     return [
         f"{content['identity']} in {content['file']}",
         f"{segments['count']} segments, {length_m:g} m and {mass_kg:g} kg in all",
@@ -130,7 +133,7 @@ def arm_lines(content: Values) -> list[str]:
         f"sensors: {sensors['rate_hz']:g} Hz, noise {sensors['noise_std_n']:g} N{step}",
         f"bears {_least(bears['greatest_n'])} N across any segment, sags by "
         f"{bears['sag_deg']:.3g}°",
-        f"tolerances: built so, it reads {scatter_n:.2g} N otherwise (RMS)",
+        f"tolerances: built so, {built}",
         f"effects: {effects or 'none'}",
         *content.get("questions", []),
     ]

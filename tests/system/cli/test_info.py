@@ -73,6 +73,12 @@ def test_tolerances_that_may_take_cables_slack_are_questioned() -> None:
     assert "are holes no more precise than 0.1 mm" in question
 
 
+def test_tolerances_within_which_no_arm_finds_rest_are_questioned(monkeypatch) -> None:
+    monkeypatch.setattr("cablesense_ros.cli.info.unloaded_scatter_n", lambda arm: None)
+    assert "no arm that is built so finds rest" in described("cdsm_lab")["questions"][0]
+    assert "built so, it finds no rest" in shown("cdsm_lab")
+
+
 def test_a_model_states_what_it_was_made_for() -> None:
     model = described("config/models/peers/cdsm_two_stage.onnx")
     assert "tension_difference_n" in [port["name"] for port in model["inputs"]]
