@@ -314,7 +314,7 @@ def _recorded(
 
 
 def _workshop_n(nominal: Nominal, drawn: RealArm, schedule: Schedule, history: Schedule) -> float:
-    """The gap between an arm as a workshop builds it and the arm as drawn."""
+    """The gap between an arm as a workshop builds it, always the same, and the arm as drawn."""
     built = built_as(nominal, Workmanship(), np.random.default_rng(nominal.cable_count))
     return gap_n(built.signals_n(schedule, history), drawn.signals_n(schedule, history))
 
