@@ -25,7 +25,7 @@ from rich.console import Console
 
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.felt_arm import FeltArm
-from cablesense_gap.adaptation import adapt_to, withheld_trials
+from cablesense_gap.adaptation import adapt_to, exported, withheld_trials
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recorded_contacts import recorded_errors, tares_of
 from cablesense_gap.scoring import proportion
@@ -93,9 +93,11 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     case["judging_seconds"] = round(time.monotonic() - began, 1)
     began = time.monotonic()
     if adapted.adapted is not None:
-        adapted.adapted.export(folder / "estimator.onnx", "cablesense gap adapt")
         case["unexplained_n"] = round(adapted.adapted.unexplained_n2**0.5, 3)
-    estimator = adapted.diagnosis.verdict.estimator
+    attempt = exported(adapted, folder / "estimator.onnx", "cablesense gap adapt")
+    if attempt.refusal:
+        case["refused"] = attempt.refusal
+    estimator = attempt.adaptation.diagnosis.verdict.estimator
     assert estimator is not None
     case |= {
         "named": list(diagnosis.verdict.effects),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.uncertain_arm import arm_parameters
+from cablesense_training.errors import TrainingError
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law_export import export_law
 
@@ -101,6 +103,29 @@ class Adaptation:
         verdict = self.diagnosis.verdict.model_copy(update={"estimator": kept})
         diagnosis = replace(self.diagnosis, verdict=verdict)
         return replace(self, diagnosis=diagnosis, after=None, better=False, adapted=None)
+
+
+class Exported(NamedTuple):
+    """An adaptation whose new estimator is a model file, or why it cannot be one.
+
+    Attributes:
+        adaptation: without the new estimator where it was refused.
+        refusal: why; empty if it was not.
+    """
+
+    adaptation: Adaptation
+    refusal: str = ""
+
+
+def exported(adaptation: Adaptation, path: Path, command: str) -> Exported:
+    """Write the new estimator as a model file, with the `command` that makes it again."""
+    if adaptation.adapted is None:
+        return Exported(adaptation)
+    try:
+        adaptation.adapted.export(path, command)
+    except TrainingError as error:
+        return Exported(adaptation.without_the_new(), str(error))
+    return Exported(adaptation)
 
 
 def adapt(

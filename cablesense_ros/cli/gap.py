@@ -423,6 +423,7 @@ def adapt(
     from cablesense_contact.inference.metadata import find_model
     from cablesense_contact.inference.single_contact import open_estimator
     from cablesense_gap.adaptation import adapt as make
+    from cablesense_gap.adaptation import exported
     from cablesense_gap.report.next_step import ADAPTED_MODEL, CALIBRATION, Given, next_step
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
@@ -457,8 +458,9 @@ def adapt(
             announce=progress.announce,
             kept=kept,
         )
-        exported = Path(folder) / ADAPTED_MODEL
-        adaptation, refused = _exported(adaptation, exported, shlex.join(words))
+        exported_model = Path(folder) / ADAPTED_MODEL
+        attempt = exported(adaptation, exported_model, shlex.join(words))
+        adaptation = attempt.adaptation
         made = adaptation.adapted
         models = {"before": adaptation.before} | (
             {"after": adaptation.after} if adaptation.after else {}
@@ -466,7 +468,7 @@ def adapt(
         given = Given(str(recording), arm, str(out), model or "")
         write_diagnosis(out, adaptation.diagnosis, models, given)
         if made is not None:
-            write_atomically(adapted_model, exported.read_bytes(), OptionError)
+            write_atomically(adapted_model, exported_model.read_bytes(), OptionError)
             write_calibration(calibration, made.calibration)
         else:  # those of an earlier run are for another arm
             adapted_model.unlink(missing_ok=True)
@@ -489,7 +491,7 @@ def adapt(
         *recorded.notes,
         headline(verdict),
         _outcome(adaptation, in_use),
-        *([refused] if refused else []),
+        *([f"No new estimator: {attempt.refusal}"] if attempt.refusal else []),
         f"Report: {out / 'report.html'}",
     ]
     if "capstan_friction" in verdict.effects:
@@ -501,19 +503,6 @@ def adapt(
     lines.append(_next(next_step(verdict, given)))
     for line in lines:
         console.print(line, soft_wrap=True, highlight=False)
-
-
-def _exported(adaptation: Adaptation, path: Path, command: str) -> tuple[Adaptation, str]:
-    """The adaptation once its model is a file, and a sentence where it cannot be one."""
-    from cablesense_training.errors import TrainingError
-
-    if adaptation.adapted is None:
-        return adaptation, ""
-    try:
-        adaptation.adapted.export(path, command)
-    except TrainingError as error:
-        return adaptation.without_the_new(), f"No new estimator: {error}"
-    return adaptation, ""
 
 
 def _noise(made: AdaptedEstimator) -> list[str]:
