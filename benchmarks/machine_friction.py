@@ -2,12 +2,14 @@
 
     python benchmarks/machine_friction.py [--machines finger seven_hinges] [--built 30] [--write]
 
-Each machine is built within its tolerances, and rubs with a coefficient of friction that its file
-states or not. It is tared in its reference pose, walks from pose to pose from rest to rest, with
-every bend of each tendon sticking or sliding (`cablesense_sim.machine.quasi_static`), and is
-touched there as in `machines.py`. A contact comes to the untouched machine, and goes; each is
-answered at rest, as by the node. `tolerance` has the slides of tendons unknown in every pose,
-where `followed` has them by the way and by the readings' change.
+Each machine is built within its tolerances, and rubs with a coefficient of friction. It is tared
+in its reference pose, walks from pose to pose from rest to rest, with every bend of each tendon
+sticking or sliding (`cablesense_sim.machine.quasi_static`), and is touched there as in
+`machines.py`. A contact comes to the untouched machine, and goes; each is answered at rest, as by
+the node. With `denied` the file says that nothing rubs, with `unstated` it
+says nothing, so that the default applies. With `tolerance` and `followed` it states the
+coefficient; slides of tendons are then unknown in every pose, or known by the way and by the
+readings' change, as with `unstated`.
 """
 
 from __future__ import annotations
@@ -36,14 +38,14 @@ from cablesense_contact.machine.felt_model import FeltModel
 from cablesense_contact.machine.tendon_friction import CarriedTendonFriction
 from cablesense_contact.machine.tendon_routes import TendonRoutes
 from cablesense_online.calibrated_arm import CalibratedArm
-from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.description import Cables, MachineError
 from cablesense_sim.machine.machine import Machine, open_machine
 from cablesense_sim.machine.quasi_static import QuasiStaticMachine
 from cablesense_sim.machine.tendon_guides import RUN_COMPLIANCE
 
 COEFFICIENTS = (0.02, 0.05)
 MACHINES = ("finger", "seven_hinges")
-WAYS = ("unstated", "tolerance", "followed")
+WAYS = ("denied", "unstated", "tolerance", "followed")
 POSES = 4
 RUN_LOG_STD = 0.5
 """Deviation of the logarithm of the compliance before a tendon's first site, over that behind."""
@@ -235,8 +237,9 @@ def figures_of(answers: list[Answer], bench: Bench) -> dict[str, Any]:
 
 def judged(count: int, seed: int, name: str, coefficient: float, way: str) -> dict[str, Any]:
     """Many built of one machine with a coefficient, in one of the ways of knowing it."""
-    bench = Bench(stated_machine(name, 0.0 if way == "unstated" else coefficient))
-    felt = FeltModel(bench.machine) if way == "followed" else NotFollowed(bench.machine)
+    unlike_built = {"denied": 0.0, "unstated": Cables().friction_coefficient}
+    bench = Bench(stated_machine(name, unlike_built.get(way, coefficient)))
+    felt = NotFollowed(bench.machine) if way == "tolerance" else FeltModel(bench.machine)
     answers: list[Answer] = []
     refused = 0
     for number in range(count):

@@ -43,7 +43,9 @@ class MovableMachine:
         self._statics = MachineStatics(machine)
         tendons = machine.tendons
         self.taut_n: Array = TAUT_SHARE * tendons.pretension_n[machine.channels.tendon]
-        self.rubs = machine.source.file.cables.friction_coefficient > 0.0
+        cables = machine.source.file.cables
+        states_friction = "friction_coefficient" in cables.model_fields_set
+        self.rubs = states_friction and cables.friction_coefficient > 0.0
         self._drawn = np.flatnonzero(tendons.drawn_by >= 0)
         self._by_actuators = machine.source.file.joints == "actuators"
         self._moment = self._statics.at(machine.reference).moment.copy()

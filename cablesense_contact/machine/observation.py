@@ -175,8 +175,7 @@ class Observer:
         self._friction_variance = _joint_friction_variance(machine)
         self._contact_covariance = self._prior_of_torques()
         self._equations = _known_equations(machine)
-        rubs = machine.source.file.cables.friction_coefficient > 0.0
-        self._friction = CarriedTendonFriction(machine) if rubs else None
+        self._friction = CarriedTendonFriction(machine) if self.parameters.rubs else None
 
     def observe(
         self,

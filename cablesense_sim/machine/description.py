@@ -96,13 +96,13 @@ class Cables(FilePart):
         pretension_n: at the reference pose, of all or by name; by default what the model has
             there.
         friction_coefficient: of tendons that are read, over sites, pulleys and geoms: from none to
-            this. Half of it is mean and deviation.
+            this. Half of it is mean and deviation. The default is that of an arm.
         unread: tendons that nothing reads and that are springs, which is thereby known.
     """
 
     stiffness_n_m: _Positive | dict[_Name, _Positive] | None = None
     pretension_n: _NotNegative | dict[_Name, _NotNegative] | None = None
-    friction_coefficient: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
+    friction_coefficient: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.02
     unread: list[_Name] = Field(default_factory=list)
 
 

@@ -51,6 +51,7 @@ class MachineParameters(GroupedParameters):
         bodies: (B,) numbers of the bodies.
         springs: (J,) numbers of the joints with springs.
         is_force: (M,) whether a channel reads a force, and not a torque.
+        rubs: whether tendons that are read bend at guides, with friction.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -58,6 +59,7 @@ class MachineParameters(GroupedParameters):
         model = machine.model
         tendons = machine.tendons.names
         guides = _guides(machine)
+        self.rubs = bool(guides.any())
         self._has_no_guide = ~guides
         channels = machine.channels
         self.routing = _routing(machine)
@@ -87,7 +89,7 @@ class MachineParameters(GroupedParameters):
             n for n, yes in zip(names, machine.coordinates.is_hinge, strict=True) if yes
         )
         slides = tuple(n for n in names if n not in angles)
-        half = 0.5 * machine.source.file.cables.friction_coefficient
+        half = 0.5 * machine.source.file.cables.friction_coefficient if self.rubs else 0.0
         carried = float(np.hypot(half, half))
         rubbed = [
             tuple(f"{tendon} at guide {g}" for tendon in tendons[: guides.shape[1]])

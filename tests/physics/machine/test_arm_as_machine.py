@@ -71,6 +71,7 @@ def as_machine(arm: Arm, folder: Path) -> Machine:
         "cables": {
             "stiffness_n_m": float(mechanism.stiffness_n_m[0]),
             "pretension_n": float(mechanism.pretension_n[0]),
+            "friction_coefficient": 0.0,
         },
         "touch": {"links": links, "friction": places.friction},
         "tolerances": {
