@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
+from cablesense_contact.chi_squared import probability_above
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.felt import FeltMachine, alike, torque_covariance_at_rest
 from cablesense_contact.felt_arm import FeltArm
@@ -41,6 +42,8 @@ _STEADY_N = 1.0
 """Standard deviation of a cable's readings above which the estimator node takes no tare."""
 _FEWEST_UNLOADED = 2
 """Rows that show an unloaded arm at rest."""
+_SETTLED_ABOVE = 0.01
+"""Probability of a change of readings by noise alone, below which they have not settled."""
 _LEAST_N = 1e-9
 """Force that counts as zero, so that none is divided by."""
 
@@ -157,6 +160,20 @@ def unloaded_poses(recording: Recording, trials: Collection[int] | None = None) 
 def _moved(recording: Recording) -> Rows:
     """(R,) whether a row's command differs from that before it; the first one's does."""
     return (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
+
+
+def settled(recording: Recording, machine: FeltMachine) -> Rows:
+    """(R,) rows whose readings differ from those of the row before by the sensors' noise alone.
+
+    Of the others, sensors that lag still show an earlier load.
+    """
+    change_n = np.diff(recording.tensions_n, axis=0, prepend=np.nan)
+    variance_n2 = 2.0 * machine.mean_variance(1)
+    chi2 = (change_n**2 / variance_n2).sum(axis=1)
+    channels = change_n.shape[1]
+    by_noise = np.array([probability_above(float(row), channels) for row in chi2])
+    continues = np.diff(recording.trial, prepend=-1) == 0
+    return np.asarray(continues & (by_noise > _SETTLED_ABOVE))
 
 
 def at_contact_points(recording: Recording, arm: Arm) -> Rows:

@@ -87,6 +87,10 @@ class Sensors(FilePart):
         return self
 
 
+USUAL_FRICTION = 0.05
+"""Coefficient of tendons of steel over bearings or PTFE, at most; in sheaths it is more."""
+
+
 class Cables(FilePart):
     """The tendons, where the model leaves something open.
 
@@ -96,13 +100,13 @@ class Cables(FilePart):
         pretension_n: at the reference pose, of all or by name; by default what the model has
             there.
         friction_coefficient: of tendons that are read, over sites, pulleys and geoms: from none to
-            this. Half of it is mean and deviation. The default is that of an arm.
+            this. Half of it is mean and deviation. By default what tendons over pulleys have.
         unread: tendons that nothing reads and that are springs, which is thereby known.
     """
 
     stiffness_n_m: _Positive | dict[_Name, _Positive] | None = None
     pretension_n: _NotNegative | dict[_Name, _NotNegative] | None = None
-    friction_coefficient: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.02
+    friction_coefficient: Annotated[Number, Field(ge=0.0, le=1.0)] = USUAL_FRICTION
     unread: list[_Name] = Field(default_factory=list)
 
 

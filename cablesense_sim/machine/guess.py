@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array, some_of
-from cablesense_sim.machine.description import MachineError
+from cablesense_sim.machine.description import USUAL_FRICTION, MachineError
 from cablesense_sim.mujoco_file import compiled, joint_ties, read_spec
 
 _NOISE_SHARE = 1e-3
@@ -19,8 +19,6 @@ _USUAL_NOISE = 0.05
 """Noise of a sensor whose actuator states no largest force."""
 _PRETENSION_N = 20.0
 """Of tendons whose model does not say what draws them at rest."""
-_FRICTION = 0.05
-"""Coefficient of steel on bearings or PTFE, at most; in sheaths it is more."""
 _LONG_SHAPES = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -64,7 +62,7 @@ def guessed_machine_file(path: Path) -> str:
             cables.append(f"  pretension_n: {_PRETENSION_N:g}  # {pose}")
         if are_held:
             where = "over pulleys and through eyelets; 0 where tendons run freely"
-            cables.append(f"  friction_coefficient: {_FRICTION:g}  # at most, {where}")
+            cables.append(f"  friction_coefficient: {USUAL_FRICTION:g}  # at most, {where}")
         if cables:
             lines += ["cables:", *cables]
     else:
