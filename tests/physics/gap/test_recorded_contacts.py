@@ -15,6 +15,7 @@ from cablesense_contact.inference.estimator import Estimates, Estimator
 from cablesense_gap.recorded_contacts import (
     RecordedMachine,
     recorded_errors,
+    settled,
     tares_n,
     tares_of,
     unloaded_poses,
@@ -88,6 +89,22 @@ def test_what_a_law_does_not_know_is_measured_under_known_loads(law: TorchLaw) -
     assert RecordedMachine(made, tares, law, by_tolerances).unexplained_n2(loaded) < 0.01
     unexplained_n2 = RecordedMachine(noisy, tares, law, by_tolerances).unexplained_n2(loaded)
     assert_allclose(unexplained_n2, 0.3**2, rtol=0.15)
+
+
+def test_readings_have_settled_where_they_change_by_noise_alone() -> None:
+    made = read_from(small_recording())
+    machine = FeltArm(LAB)
+    size = made.tensions_n.shape
+    noise_n = np.random.default_rng(3).normal(0.0, np.sqrt(machine.mean_variance(1)), size)
+    still = replace(made, tensions_n=np.full(size, 50.0) + noise_n)
+    first_of_trial = np.diff(made.trial, prepend=-1) != 0
+    at_rest = settled(still, machine)
+    assert not at_rest[first_of_trial].any()
+    assert at_rest[~first_of_trial].mean() > 0.97
+    lagging_n = np.exp(-np.arange(len(made)) / 3.0)[:, None] * np.full(size[1], 30.0)
+    settling = settled(replace(still, tensions_n=still.tensions_n + lagging_n), machine)
+    assert not settling[:12].any()  # 0.6 N a row
+    assert (settling == at_rest)[30:].all()  # 2 mN
 
 
 def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
