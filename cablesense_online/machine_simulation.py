@@ -149,7 +149,7 @@ class MachineSimulation:
             self.refusals += 1
 
     def _at_rest(self, forces: Sequence[LinkForce]) -> AtRest:
-        """Tendons of a built machine rub if its file states friction."""
+        """Tendons of a built machine rub, unless its file states a coefficient of zero."""
         command = self._motion.angle_rad
         if self._rubbing is not None:
             return self._rubbing.under(command, forces)
