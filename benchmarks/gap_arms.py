@@ -3,7 +3,8 @@
     python benchmarks/gap_arms.py [--count 30] [--seed 9615] [--write]
 
 Draws arms of 2 to 6 segments with 3 or 4 cables each, of 5 kN/m to 10 MN/m, as `cablesense info`
-accepts them. On each it runs `gap protocol`, `gap withhold` with one effect (all come in turn),
+accepts them. Their files state the tolerances that the plant scatters by. On each it runs `gap
+protocol`, `gap withhold` with one effect (all come in turn),
 `train` with few samples and `gap diagnose`, as a user does. A command ran if it ends with 0 and
 warns of nothing; a verdict is right if it names the effect alone. `--folder` keeps the files and
 continues there; `--minutes` starts no further arm after that time. Arms 9 and 10 of seed 9601,
@@ -24,6 +25,7 @@ from typing import Any
 import harness
 import numpy as np
 import yaml
+from blind_sets import NARROW
 
 from cablesense_gap.amended_arm import write_arm
 from cablesense_gap.scoring import read_answers
@@ -105,6 +107,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
                 "noise_std_n": _log_uniform(rng, 0.02, 0.2),
                 "step_n": 0.05,
             },
+            "tolerances": NARROW.model_dump(),
         }
         drawn = parse_arm(yaml.safe_dump(arm))
         try:
