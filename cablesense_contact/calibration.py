@@ -25,6 +25,7 @@ from cablesense_contact.chi_squared import limit_at, probability_above
 from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.law import Law
 from cablesense_contact.slides import Belief, Slides
+from cablesense_sim.parameter_groups import GroupedParameters
 
 TOLERANCES_DOUBTED_BELOW = 1e-4
 """Probability, by the χ² of all innovations together, below which the tolerances are doubted."""
@@ -109,6 +110,18 @@ class Calibration:
     def as_described(self) -> bool:
         """Whether the unloaded readings are those of an arm within the tolerances of its file."""
         return self.misfit_probability >= TOLERANCES_DOUBTED_BELOW
+
+    def rests_on(self, parameters: GroupedParameters) -> bool:
+        """Whether its prior is the tolerances of these parameters.
+
+        So is that of a diagnosis, which no file states.
+        """
+        std = np.sqrt(np.diagonal(self.prior_covariance))
+        is_of_a_diagnosis = np.count_nonzero(self.prior_covariance) > np.count_nonzero(std)
+        same = np.allclose(std, parameters.prior_std) and np.allclose(
+            self.prior_mean, parameters.prior_mean
+        )
+        return bool(is_of_a_diagnosis or same)
 
     @property
     def last_unloaded_ns(self) -> int:

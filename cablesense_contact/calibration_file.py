@@ -155,6 +155,21 @@ def calibration_of(
     return calibration
 
 
+def prior_notes(
+    calibration: Calibration | None, machine: FeltMachine, source: str | Path
+) -> tuple[str, ...]:
+    """A sentence where a calibration rests on other tolerances than its machine's file states.
+
+    None where none is in use.
+    """
+    if calibration is None or calibration.rests_on(machine.parameters):
+        return ()
+    return (
+        f"{source}: made with other tolerances than the file of {machine.identity} states now, "
+        "and those count; calibrate again to use what the file states",
+    )
+
+
 def described(content: bytes, source: str) -> Arm | CalibratedMachine:
     """The arm or machine whose calibration this content of a file is, by the description in it.
 

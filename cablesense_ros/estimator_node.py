@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
-from cablesense_contact.calibration_file import calibration_of
+from cablesense_contact.calibration_file import calibration_of, prior_notes
 from cablesense_contact.reference_contacts import KnownForce
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
@@ -134,6 +134,8 @@ class EstimatorNode(ConfiguredNode):
         path = given["calibration_file"]
         known = f"calibrated by {path}" if calibration else "not calibrated"
         self.get_logger().info(f"arm {machine.identity}, model {loaded.path}, {known}: configured")
+        for note in prior_notes(calibration, machine, path):
+            self.get_logger().warning(note)
 
     def _on_sample(self, raw: bytes) -> None:
         now_ns = self._now_ns()

@@ -81,6 +81,7 @@ def estimate(
     Examples: [bold]cablesense estimate run.mcap --arm my_arm.yaml --model my_arm.onnx[/bold],
     [bold]cablesense estimate my.csv --columns map.yaml --arm my_arm.yaml[/bold]
     """
+    from cablesense_contact.calibration_file import prior_notes
     from cablesense_online.loading import load
     from cablesense_online.recorded_estimates import recorded_answers, require_tare
     from cablesense_ros.default_settings import node_settings
@@ -97,6 +98,7 @@ def estimate(
     recorded = _read(recording, loaded.described, columns, topic or ())
     print_notes(recorded.notes, json_output)
     known = loaded.calibration("" if calibration is None else str(calibration))
+    print_notes(prior_notes(known, loaded.machine, str(calibration)), json_output)
     settings = node_settings(tare_samples=tare_rows)
     answers: list[RecordedAnswer] = []
     with progress_bar(len(recorded), what="rows") as advance:

@@ -219,7 +219,7 @@ def _recorded(
     columns: Path | None,
 ) -> tuple[str, dict[str, Any], tuple[str, ...]]:
     """Title and figures, and what was read of the recording, as sentences."""
-    from cablesense_contact.calibration_file import read_calibration
+    from cablesense_contact.calibration_file import prior_notes, read_calibration
     from cablesense_contact.unloaded_holds import with_held_positions
     from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.report.page import drawn_errors
@@ -233,7 +233,7 @@ def _recorded(
         known = None if calibration is None else read_calibration(calibration, one.machine)
         named = None if columns is None else read_column_map(columns, one.described).with_loads
         recorded = read_recording(recording, one.described, topics, named)
-        notes = recorded.notes
+        notes = (*recorded.notes, *prior_notes(known, one.machine, str(calibration)))
         if one.machine.reads_joints:
             recorded = with_held_positions(recorded)
         errors[one.name] = recorded_errors(recorded, one.estimator, calibration=known)

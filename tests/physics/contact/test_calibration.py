@@ -11,6 +11,7 @@ from cablesense_contact.calibration import CalibrationError, Calibrator, Unloade
 from cablesense_contact.calibration_file import (
     calibration_bytes,
     calibration_of,
+    prior_notes,
     read_calibration,
     write_calibration,
 )
@@ -173,3 +174,18 @@ def test_a_damaged_file_is_refused_in_one_line(calibrator, cut):
     with pytest.raises(CalibrationError, match="no calibration file") as refused:
         calibration_of(content, FeltArm(ARM), "arm.calibration")
     assert "\n" not in str(refused.value)
+
+
+def test_a_calibration_knows_whether_a_file_states_the_tolerances_that_it_rests_on(calibrator):
+    made = calibrator.by_tolerances()
+    tolerances = ARM.tolerances.model_copy(update={"hole_radial_m": 2e-4})
+    changed = FeltArm(ARM.model_copy(update={"tolerances": tolerances}))
+    assert made.rests_on(calibrator.parameters)
+    assert not made.rests_on(changed.parameters)
+    (note,) = prior_notes(made, changed, "arm.calibration")
+    assert note.startswith("arm.calibration: made with other tolerances")
+    assert prior_notes(made, FeltArm(ARM), "arm.calibration") == ()
+    assert prior_notes(None, changed, "") == ()
+    together = made.prior_covariance + 1e-12
+    of_a_diagnosis = replace(made, prior_covariance=together)
+    assert of_a_diagnosis.rests_on(changed.parameters)

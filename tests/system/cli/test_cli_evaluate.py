@@ -111,6 +111,12 @@ def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path
     assert "segment 4" in shown
     assert "95 % intervals" in shown
     assert picture.exists()
+    tolerances = law.arm.tolerances.model_copy(update={"pretension_n": 3.0})
+    looser = law.arm.model_copy(update={"tolerances": tolerances})
+    write_calibration(calibration, Calibrator(FeltArm(looser), law).by_tolerances())
+    options = ["--recording", file, "--model", model, "--calibration", calibration]
+    told = CliRunner().invoke(app, ["evaluate", *map(str, options)])
+    assert "made with other tolerances" in " ".join(told.output.split())
 
 
 def test_a_network_of_several_contacts_is_refused(tmp_path):
