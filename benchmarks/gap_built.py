@@ -83,7 +83,9 @@ def main() -> None:
 def _file_name(options: Any) -> str:
     if options.kinds:
         return "gap_built_kinds.json"
-    return "gap_built_several.json" if options.effects else "gap_built.json"
+    if options.effects is None:
+        return "gap_built.json"
+    return "gap_built_pairs.json" if options.effects.most == 2 else "gap_built_several.json"
 
 
 def _kinds(options: Any) -> list[str]:
