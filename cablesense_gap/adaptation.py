@@ -29,8 +29,8 @@ from cablesense_gap.recorded_contacts import (
     arm_of,
     at_contact_points,
     recorded_errors,
-    settled,
     tares_of,
+    those_settled,
     with_acting_loads,
 )
 from cablesense_gap.simulator import Term
@@ -45,8 +45,6 @@ from cablesense_training.law_export import export_law
 
 _MOST_TRIALS = 12
 """Trials, evenly chosen, that show what the law does not explain."""
-_FEWEST_AT_REST = 20
-"""Rows whose readings show what the law does not explain at rest."""
 _ERROR_LEFT = 0.95
 """Share of the wrongly stated force that a better estimator leaves at most. A contact that is not
 named counts in full, so that none is better by saying less."""
@@ -208,8 +206,8 @@ def adapted_estimator(
 ) -> AdaptedEstimator:
     """The estimator of the amended arm; its noise is by the trials that the diagnosis has seen.
 
-    Rows at rest show it, or all if few are at rest: the law is one of equilibrium, and what a lag
-    adds while a load changes is no noise of readings at rest.
+    The law is one of equilibrium, so that noise is what readings show that have settled: what a
+    lag adds while a load changes is none.
     """
     calibration = diagnosed_calibration(found)
     tares = tares_of(recording)
@@ -217,9 +215,7 @@ def adapted_estimator(
     trials = np.unique(recording.trial[rows])
     chosen = np.linspace(0, len(trials) - 1, min(len(trials), _MOST_TRIALS)).astype(int)
     rows &= np.isin(recording.trial, trials[chosen])
-    at_rest = rows & settled(recording, FeltArm(found.amended))
-    if at_rest.sum() >= _FEWEST_AT_REST:
-        rows = at_rest
+    rows = those_settled(recording, FeltArm(found.amended), rows)
     known = RecordedMachine(recording, tares, TorchLaw(found.amended), calibration)
     unexplained_n2 = known.unexplained_n2(rows)
     law = TorchLaw(found.amended, unexplained_n2)

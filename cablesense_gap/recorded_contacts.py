@@ -2,7 +2,8 @@
 
 The law of a machine knows it by a calibration from unloaded rows. It answers a reading as the
 estimator node does, but at commands that are known to have settled. A network of the paper gets
-differences to a tare.
+differences to a tare. Rows are judged whose readings have settled: the node does not vouch for a
+force that has just changed.
 """
 
 from __future__ import annotations
@@ -44,6 +45,12 @@ _FEWEST_UNLOADED = 2
 """Rows that show an unloaded arm at rest."""
 _SETTLED_ABOVE = 0.01
 """Probability of a change of readings by noise alone, below which they have not settled."""
+_SETTLED_S = 0.2
+"""Time in which they change; rows may be that far apart, or much closer."""
+_FEWEST_SETTLED = 20
+"""Loaded rows; with fewer, all rows count."""
+_SAME_TIME_S = 1e-6
+"""Times that differ by less are the same."""
 _LEAST_N = 1e-9
 """Force that counts as zero, so that none is divided by."""
 
@@ -163,17 +170,30 @@ def _moved(recording: Recording) -> Rows:
 
 
 def settled(recording: Recording, machine: FeltMachine) -> Rows:
-    """(R,) rows whose readings differ from those of the row before by the sensors' noise alone.
+    """(R,) rows whose readings have changed by the sensors' noise alone since 0.2 s before.
 
-    Of the others, sensors that lag still show an earlier load.
+    Of the others, sensors that lag still show an earlier load. The first ones of a trial have not
+    settled.
     """
-    change_n = np.diff(recording.tensions_n, axis=0, prepend=np.nan)
+    time_s = recording.time_s
+    before = np.searchsorted(time_s, time_s - _SETTLED_S + _SAME_TIME_S, side="right") - 1
+    earlier = np.maximum(before, 0)
+    change_n = recording.tensions_n - recording.tensions_n[earlier]
     variance_n2 = 2.0 * machine.mean_variance(1)
     chi2 = (change_n**2 / variance_n2).sum(axis=1)
     channels = change_n.shape[1]
     by_noise = np.array([probability_above(float(row), channels) for row in chi2])
-    continues = np.diff(recording.trial, prepend=-1) == 0
-    return np.asarray(continues & (by_noise > _SETTLED_ABOVE))
+    of_same_trial = (before >= 0) & (recording.trial[earlier] == recording.trial)
+    return np.asarray(of_same_trial & (by_noise > _SETTLED_ABOVE))
+
+
+def those_settled(recording: Recording, machine: FeltMachine, rows: Rows) -> Rows:
+    """(R,) of some rows those whose readings have settled; all, if few loaded ones have."""
+    settled_rows = rows & settled(recording, machine)
+    is_loaded = recording.load_segment > 0
+    if (settled_rows & is_loaded).sum() < _FEWEST_SETTLED:
+        return rows
+    return settled_rows
 
 
 def at_contact_points(recording: Recording, arm: Arm) -> Rows:
@@ -276,6 +296,7 @@ def recorded_errors(
 ) -> RecordedErrors:
     """The errors of an estimator on the contacts of a recording of its machine, or of some trials.
 
+    Rows count whose readings have settled (`settled`), or all, if few loaded ones have.
     Loads elsewhere than at the arm file's contact points count if they may be `anywhere`, by
     default for a law. A law is calibrated by the tolerances of its arm and the unloaded rows of
     these trials; with a `calibration` it starts from that, and takes a tare before each load.
@@ -291,7 +312,7 @@ def recorded_errors(
     usable = np.asarray(tares.of_row >= 0)
     if not anywhere and not isinstance(estimator, MachineLaw):
         usable &= at_contact_points(recording, arm_of(estimator))
-    rows = _judged_rows(recording, usable, trials)
+    rows = those_settled(recording, machine, _judged_rows(recording, usable, trials))
     confirmed = None
     if isinstance(estimator, Estimator):
         command_rad = recording.command_rad[rows]

@@ -30,6 +30,10 @@ from tests.helpers.arm_variants import variant
 from tests.helpers.gap_recordings import CYCLE, LAB, small_recording
 
 
+HELD = int(np.count_nonzero((np.diff(CYCLE) == 0.0) & (CYCLE[1:] > 0.0)))
+"""Loaded rows of a cycle whose load is that of the row before; noise unsettles one in a hundred."""
+
+
 def read_from(made: Recording) -> Recording:
     """As the laboratory's arm would read it."""
     true_n = replay_arm(LAB, made.course)
@@ -56,7 +60,7 @@ def test_a_healthy_arm_is_estimated_right_on_every_segment(
     assert errors.false_n < 0.05
     assert errors.confirmed > 0.9
     for each in errors.by_segment.values():
-        assert each.errors.contacts == 2 * np.count_nonzero(CYCLE)
+        assert 0.9 * 2 * HELD < each.errors.contacts <= 2 * HELD
         assert each.errors.magnitude_mae_n < 0.5
         assert each.errors.direction_mae_deg < 2.0
         assert each.errors.magnitude_coverage95 > 0.9
@@ -178,8 +182,9 @@ def test_a_network_gets_differences_to_tares_at_contact_points(
     with pytest.raises(RecordingError, match="no load at a contact point"):
         recorded_errors(far, network, [1])
     of_law = recorded_errors(far, law, anywhere=False)
-    whole = np.count_nonzero(loaded)
-    assert of_law.whole.errors.contacts == whole - np.count_nonzero(CYCLE)
+    cycles = np.count_nonzero(loaded) / np.count_nonzero(CYCLE)
+    held = (cycles - 1) * HELD
+    assert 0.9 * held < of_law.whole.errors.contacts <= held
 
 
 @pytest.mark.parametrize("at_m", [0.04, 0.1])
