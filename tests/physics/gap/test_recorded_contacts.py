@@ -29,9 +29,8 @@ from cablesense_training.law.build import TorchLaw
 from tests.helpers.arm_variants import variant
 from tests.helpers.gap_recordings import CYCLE, LAB, small_recording
 
-
 HELD = int(np.count_nonzero((np.diff(CYCLE) == 0.0) & (CYCLE[1:] > 0.0)))
-"""Loaded rows of a cycle whose load is that of the row before; noise unsettles one in a hundred."""
+"""Loaded rows of a cycle with the load of the row before; by noise some seem to have changed."""
 
 
 def read_from(made: Recording) -> Recording:
