@@ -27,7 +27,7 @@ from cablesense_contact.calibration import Calibrator
 from cablesense_contact.felt_arm import FeltArm
 from cablesense_gap.adaptation import adapt_to, exported, withheld_trials
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recorded_contacts import recorded_errors, tares_of
+from cablesense_gap.recorded_contacts import recorded_errors, tares_of, those_settled
 from cablesense_gap.scoring import proportion
 from cablesense_plants.arm.blind_cases import draw_several, make_case
 from cablesense_plants.arm.body import read_nominal
@@ -114,8 +114,9 @@ def _error_at_peaks_n(recording: Recording, law: TorchLaw) -> float:
     """Mean error of the force where a load is near the highest of its trial."""
     size = pd.Series(np.linalg.norm(recording.load_n, axis=1))
     near = size >= _NEAR_PEAK * size.groupby(recording.trial).transform("max")
-    judged = tares_of(recording).of_row >= 0
-    known = Calibrator(FeltArm(law.arm), law).by_tolerances()
+    machine = FeltArm(law.arm)
+    judged = those_settled(recording, machine, np.asarray(tares_of(recording).of_row >= 0))
+    known = Calibrator(machine, law).by_tolerances()
     errors = recorded_errors(recording, law, calibration=known)
     peaks = near.to_numpy()[judged] & (errors.truth.segment > 0)
     return float(np.abs(errors.answer.force_n - errors.truth.magnitude_n)[peaks].mean())
