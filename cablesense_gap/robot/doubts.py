@@ -11,6 +11,7 @@ import numpy as np
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.robot.efforts import look_exchanged, looks_reversed
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.recording import RobotRecording
@@ -100,12 +101,11 @@ def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, Rob
             if alike[a] == alike[b]:
                 order = np.arange(values.shape[1])
                 order[[a, b]] = b, a
-                text = f"{kind}.{labels[a]} and {kind}.{labels[b]} look exchanged"
+                text = look_exchanged(f"{kind}.{labels[a]}", f"{kind}.{labels[b]}")
                 yield text, changed(values[:, order])
         for a in known:
             sign = np.where(np.arange(values.shape[1]) == a, -1.0, 1.0)
-            text = f"{kind}.{labels[a]} looks as if it had the other sign"
-            yield text, changed(values * sign)
+            yield looks_reversed(f"{kind}.{labels[a]}"), changed(values * sign)
 
 
 def wrapped(recording: RobotRecording, robot: Robot) -> list[str]:

@@ -18,7 +18,8 @@ friction that depends on the place.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -72,8 +73,9 @@ _AS_STATED: Final = ("torque", "effect", "anything")
 """Kinds in which the effort is the torque that the model means, whatever the machine is."""
 _SHARED = 0.3
 """Prior probability that the efforts of all joints are of one kind, as one driver makes them."""
-_OTHER_MOTION = 0.05
-"""Prior probability that positions or times are in another unit, shared by all ways."""
+_OTHER_COLUMNS = 0.05
+"""Prior probability that positions or times are in another unit, a position has the other sign, or
+two efforts are exchanged, shared by all ways."""
 
 
 _Kind = tuple[str, str]
@@ -145,15 +147,15 @@ def effort_interpretations(
     regressions = _Regressions(robot, motion)
     as_recorded = _Change(np.ones(len(robot.joints)), 1.0, "")
     nominal = regressions.of(as_recorded)
-    others = list(_other_motions(robot))
-    of_others = [regressions.of(each) for each in others]
-    log_prior = [np.log1p(-_OTHER_MOTION)]
-    log_prior += [np.log(_OTHER_MOTION / max(len(others), 1))] * len(others)
-    log_weight = [each.log_evidence for each in (nominal, *of_others)]
-    posterior = np.exp(_normalised(np.array(log_weight) + np.array(log_prior)))
+    rivals = [_Rival(change.text, regressions.of(change)) for change in _other_motions(robot)]
+    rivals += regressions.exchanges(nominal)
+    log_prior = [np.log1p(-_OTHER_COLUMNS)]
+    log_prior += [np.log(_OTHER_COLUMNS / max(len(rivals), 1))] * len(rivals)
+    log_evidence = [nominal.log_evidence, *(rival.regression.log_evidence for rival in rivals)]
+    posterior = np.exp(_normalised(np.array(log_evidence) + np.array(log_prior)))
     best = int(posterior.argmax())
     if best and posterior[best] >= SURE:
-        suspect = [others[best - 1].text]
+        suspect = [rivals[best - 1].text]
     else:
         suspect = list(_suspect_efforts(robot, nominal, stated))
     doubts = [] if suspect else list(_doubtful_gains(robot, nominal, stated))
@@ -165,8 +167,18 @@ def _normalised(log_weight: Array) -> Array:
     return np.asarray(log_weight - logsumexp(log_weight))
 
 
+def look_exchanged(first: str, second: str) -> str:
+    """A sentence without an end on two columns."""
+    return f"{first} and {second} look exchanged"
+
+
+def looks_reversed(column: str) -> str:
+    """A sentence without an end on a column."""
+    return f"{column} looks as if it had the other sign"
+
+
 def _other_motions(robot: Robot) -> Iterator[_Change]:
-    """Degrees at all hinges or one, and times in another unit than seconds.
+    """Degrees at all hinges or one, times in another unit than seconds, and reversed positions.
 
     What is refused when a recording is read (`_check_units` of
     `cablesense_recording.robot_recording`) does not come here: rows far apart between which
@@ -186,6 +198,9 @@ def _other_motions(robot: Robot) -> Iterator[_Change]:
         yield _Change(of_one, 1.0, text)
     for unit, seconds in OTHER_TIME_UNITS.items():
         yield _Change(ones, seconds, f"time_s looks like {unit}; it must be in seconds")
+    for number, joint in enumerate(joints):
+        reverses_one = np.where(np.arange(len(joints)) == number, -1.0, 1.0)
+        yield _Change(reverses_one, 1.0, looks_reversed(f"position.{joint}"))
 
 
 class _Regressions:
@@ -216,23 +231,37 @@ class _Regressions:
             whole = inverse_dynamics(model, position, speed, acceleration)
         whole = np.where(np.isfinite(whole), whole, 0.0)
         parts = Parts(motion.compared(whole - gravity), motion.compared(gravity))
-        rotor = motion.inertia * change.position / change.time**2
+        rotor = motion.inertia * np.abs(change.position) / change.time**2
         by_joint = {
-            joint: _JointRegression(
-                self._effort[:, joint],
-                np.column_stack(
-                    [
-                        parts.dynamic[:, joint],
-                        parts.gravity[:, joint],
-                        *(column[:, joint] for column in self._nuisances),
-                    ]
-                ),
-                float(rotor[joint]),
-                self._robot.torque_units[joint],
-            )
+            joint: self._of_joint(joint, joint, parts, float(rotor[joint]))
             for joint in self._judged
         }
         return _Regression(len(self._robot.joints), parts, by_joint)
+
+    def exchanges(self, nominal: _Regression) -> Iterator[_Rival]:
+        """With the efforts of each two joints exchanged, whose torques have one unit."""
+        joints = self._robot.joints
+        units = self._robot.torque_units
+        rotor = self._motion.inertia
+        for a, b in combinations(self._judged, 2):
+            if units[a] != units[b]:
+                continue
+            changed = {
+                joint: self._of_joint(joint, other, nominal.parts, float(rotor[joint]))
+                for joint, other in ((a, b), (b, a))
+            }
+            text = look_exchanged(f"torque.{joints[a]}", f"torque.{joints[b]}")
+            yield _Rival(text, replace(nominal, by_joint=nominal.by_joint | changed))
+
+    def _of_joint(self, joint: int, column: int, parts: Parts, rotor: float) -> _JointRegression:
+        """That of a joint, whose effort stands in a column."""
+        of_joint = [each[:, joint] for each in (*parts, *self._nuisances)]
+        return _JointRegression(
+            self._effort[:, column],
+            np.column_stack(of_joint),
+            rotor,
+            self._robot.torque_units[joint],
+        )
 
 
 @dataclass(frozen=True)
@@ -280,6 +309,13 @@ class _Regression:
         for joint, regression in self.by_joint.items():
             gain[joint], gain_range[joint] = regression.gain()
         return gain, gain_range
+
+
+class _Rival(NamedTuple):
+    """What columns may be instead, as a sentence without an end, and the regression then."""
+
+    text: str
+    regression: _Regression
 
 
 class _JointRegression:

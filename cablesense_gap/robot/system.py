@@ -23,7 +23,7 @@ from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts, friction_forms, loads
 from cablesense_gap.robot.amending import changed, known_robot_effects
 from cablesense_gap.robot.effects import RobotEffect
-from cablesense_gap.robot.efforts import effort_interpretations
+from cablesense_gap.robot.efforts import effort_interpretations, looks_reversed
 from cablesense_gap.robot.forward import ForwardComparison
 from cablesense_gap.robot.inverse import InverseComparison, ServoComparison
 from cablesense_gap.robot.model import OF_POSITION, Robot, RobotError
@@ -367,9 +367,7 @@ class RobotSystem(System):
             measured, modelled, acceleration = columns.T
             is_judged = np.linalg.norm(modelled) > _JUDGED_SHARE * np.linalg.norm(predicted[:, c])
             if is_judged and is_reversed(measured, modelled, acceleration):
-                complaints.append(
-                    f"{self.comparison.columns[c]} looks as if it had the other sign"
-                )
+                complaints.append(looks_reversed(self.comparison.columns[c]))
         return complaints
 
     def doubtful(self) -> list[str]:
