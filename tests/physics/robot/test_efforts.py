@@ -266,6 +266,18 @@ def six_joints():
         ),
         (lambda r, g: replace(r, position=r.position * DEGREES), "positions look like degrees"),
         (lambda r, g: replace(r, time_s=1e3 * r.time_s), "time_s looks like milliseconds"),
+        (
+            lambda r, g: replace(r, torque=r.torque[:, [0, 2, 1, 3, 4, 5]]),
+            "torque.joint_2 and torque.joint_3 look exchanged",
+        ),
+        (
+            lambda r, g: replace(r, torque=r.torque[:, [1, 0, 2, 3, 4, 5]]),
+            "torque.joint_1 and torque.joint_2 look exchanged",
+        ),
+        (
+            lambda r, g: replace(r, position=r.position * [1, -1, 1, 1, 1, 1]),
+            "position.joint_2 looks as if it had the other sign",
+        ),
     ],
 )
 def test_six_joints_of_which_one_feels_no_gravity(six_joints, change, said):
