@@ -10,9 +10,10 @@ from cablesense_contact.inference.session import open_session
 from cablesense_contact.law import GRAPH_INPUTS, LawOutput
 from cablesense_contact.machine.law import STATED
 from cablesense_sim.arm import open_arm
+from cablesense_training.errors import TrainingError
 from cablesense_training.law.estimator import EstimatorOutput
 from cablesense_training.law.statement import Statement
-from cablesense_training.law_export import _to_onnx
+from cablesense_training.law_export import _to_onnx, require_agreement
 from tests.helpers.law_arms import LawArm, Push
 
 pytestmark = [pytest.mark.exports, pytest.mark.slow]
@@ -85,3 +86,13 @@ def test_the_graph_answers_as_pytorch_does(law, given, session, rows):
 def test_outputs_in_pytorch_have_the_order_of_those_in_a_file():
     assert EstimatorOutput._fields == LawOutput._fields
     assert Statement._fields == STATED
+
+
+def test_ends_of_an_interval_may_differ_by_a_thousandth_of_its_width():
+    wide_m = np.array([[0.02, 0.08], [0.03, 0.031]])
+    little = np.array([[4e-5, 0.0], [0.0, 8e-6]])
+    require_agreement("place_ci95_m", wide_m + little, wide_m)
+    with pytest.raises(TrainingError, match=r"place_ci95_m differs by 4e-05 .* at most 1e-05"):
+        require_agreement("place_ci95_m", wide_m + little[::-1, ::-1] + little[::-1], wide_m)
+    with pytest.raises(TrainingError, match=r"place_m differs by 8e-06 .* at most 1e-06"):
+        require_agreement("place_m", wide_m + 8e-6, wide_m)
