@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
@@ -45,6 +47,12 @@ from cablesense_training.law_export import export_law
 
 _MOST_TRIALS = 12
 """Trials, evenly chosen, that show what the law does not explain."""
+_STATED = 0.95
+"""Share of the forces that intervals are to hold."""
+_PLAINLY_FEWER = 0.025
+"""Probability of so few within intervals that are right, below which they are too narrow."""
+_MOST_DOUBLINGS = 8
+"""Of a variance: intervals sixteen times as wide."""
 _ERROR_LEFT = 0.95
 """Share of the wrongly stated force that a better estimator leaves at most. A contact that is not
 named counts in full, so that none is better by saying less."""
@@ -217,9 +225,46 @@ def adapted_estimator(
     rows &= np.isin(recording.trial, trials[chosen])
     rows = those_settled(recording, FeltArm(found.amended), rows)
     known = RecordedMachine(recording, tares, TorchLaw(found.amended), calibration)
-    unexplained_n2 = known.unexplained_n2(rows)
+    measured_n2 = known.unexplained_n2(rows)
+    unexplained_n2 = _covering_n2(
+        found.amended, calibration, recording, trials[chosen], measured_n2
+    )
     law = TorchLaw(found.amended, unexplained_n2)
     return AdaptedEstimator(law, calibration, unexplained_n2)
+
+
+def _covering_n2(
+    arm: Arm,
+    calibration: Calibration,
+    recording: Recording,
+    trials: NDArray[np.int64],
+    measured_n2: float,
+) -> float:
+    """The variance, N², with which 95 % intervals hold the forces of these trials.
+
+    What a play or a joint's friction keeps from the cables lasts from reading to reading and has
+    the direction of the load, so that it misleads more than noise of the same size: the measured
+    variance is doubled until the intervals hold. It stays as it is where that does not help.
+    """
+    numbers = trials.tolist()
+    variance_n2 = measured_n2
+    noise_n2 = float(FeltArm(arm).mean_variance(1).mean())
+    for _ in range(_MOST_DOUBLINGS):
+        errors = recorded_errors(recording, TorchLaw(arm, variance_n2), numbers, True, calibration)
+        if _intervals_hold(errors):
+            return variance_n2
+        variance_n2 = 2.0 * max(variance_n2, noise_n2)
+    return measured_n2
+
+
+def _intervals_hold(judged: RecordedErrors) -> bool:
+    """Whether not plainly fewer forces lie in their 95 % intervals; so where none is stated."""
+    errors = judged.whole.errors
+    if not errors.found:
+        return True
+    held = round(errors.magnitude_coverage95 * errors.found)
+    test = binomtest(held, errors.found, _STATED, alternative="less")
+    return bool(test.pvalue > _PLAINLY_FEWER)
 
 
 def diagnosed_calibration(found: Diagnosis) -> Calibration:
