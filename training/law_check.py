@@ -17,7 +17,7 @@ are left out, as an equilibrium has none; sensors are read as they settle.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,7 @@ class LawCheck:
         false_contacts: share of the untouched readings that are stated as a contact.
         slack: share of the readings in which a cable is slack.
         pose_range_deg, force_range_n: the poses and forces that were tried.
+        least_answered: share of `answered` below which the law is at fault.
     """
 
     samples: int
@@ -74,6 +75,7 @@ class LawCheck:
     slack: float
     pose_range_deg: float
     force_range_n: float
+    least_answered: float = LEAST_ANSWERED
 
     @property
     def worst(self) -> float:
@@ -106,10 +108,10 @@ class LawCheck:
                 f"{self.false_contacts:.1%} of its answers on the untouched arm are contacts, and "
                 f"{MOST_FALSE:.0%} are allowed"
             )
-        if self.answered < LEAST_ANSWERED:
+        if self.answered < self.least_answered:
             return (
                 f"it vouches for {self.answered:.0%} of the contacts, and at least "
-                f"{LEAST_ANSWERED:.0%} are required"
+                f"{self.least_answered:.0%} are required"
             )
         if np.isnan([self.moment, self.place, self.force]).all():
             return (
@@ -139,14 +141,14 @@ def check_law(law: Law, arm: Arm, samples: int = _SAMPLES, seed: int = _SEED) ->
     return _figures(law, arm, protocol, touches.select(rests), readings_n[rests])
 
 
-def require_sound(law: Law, arm: Arm) -> LawCheck:
-    """Check a law, and refuse one that answers worse than it states.
+def require_sound(law: Law, arm: Arm, least_answered: float = LEAST_ANSWERED) -> LawCheck:
+    """Check a law, and refuse one that answers worse than it states, or too seldom.
 
     Raises:
         TrainingError: what it does, where, and what would help.
         WeakArmError: as `check_law`.
     """
-    check = check_law(law, arm)
+    check = replace(check_law(law, arm), least_answered=least_answered)
     if check.fault:
         raise TrainingError(
             f"the estimator of arm {arm.identity} does not hold on the arm's own statics: within "

@@ -23,7 +23,7 @@ from cablesense_training.evaluation.touches import drawn_touches, settled_readin
 from cablesense_training.export import TRACED_ROWS, to_onnx
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law.posterior import LARGEST_N
-from cablesense_training.law_check import require_sound
+from cablesense_training.law_check import LEAST_ANSWERED, require_sound
 
 _AGREEMENT = 1e-6
 """Largest difference allowed between PyTorch and ONNX Runtime, as a share of the largest."""
@@ -46,7 +46,8 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
     """Write the estimator of an arm as a model file that answers as PyTorch does, checked.
 
     `command` is what makes the file again, kept in it. `unexplained_n2` is the variance of
-    readings, N², by what the arm file does not know of the arm.
+    readings, N², by what the arm file does not know of the arm: with any, few contacts may be
+    vouched for.
 
     Raises:
         TrainingError: the law does not hold on the arm's own statics (`require_sound`), PyTorch
@@ -54,7 +55,7 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
         WeakArmError: the arm cannot stand, or bears no contact.
     """
     law = TorchLaw(arm, unexplained_n2)
-    require_sound(law, arm)
+    require_sound(law, arm, 0.0 if unexplained_n2 > 0.0 else LEAST_ANSWERED)
     estimator = law.estimator
     trial = _trial(arm)
     model = _to_onnx(estimator, trial)

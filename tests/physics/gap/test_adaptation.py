@@ -161,6 +161,21 @@ def test_what_the_law_does_not_explain_widens_intervals(diagnosed_as):
     assert adaptation.after.whole.errors.magnitude_coverage95 > 0.9
 
 
+def test_intervals_hold_where_what_is_not_explained_has_the_direction_of_the_load(
+    diagnosed_as, monkeypatch: pytest.MonkeyPatch
+):
+    """A joint's friction keeps a part of each load from the cables, and not at random."""
+    friction = ListedEffect(effect="joint_friction", at="joint_3", parameters={"torque_n_m": 0.3})
+    diagnosed_as(friction)
+    made = recorded(having(LAB, friction))
+    adaptation = adapt(made, LAB)
+    assert adaptation.after.whole.errors.magnitude_coverage95 >= 0.9
+    monkeypatch.setattr("cablesense_gap.adaptation._covering_n2", lambda *given: given[-1])
+    by_size = adapt(made, LAB)
+    assert by_size.after.whole.errors.magnitude_coverage95 < 0.85
+    assert by_size.adapted.unexplained_n2 < adaptation.adapted.unexplained_n2
+
+
 def test_what_the_file_lists_of_tolerances_counts_once(diagnosed_as):
     """The diagnosis states deviations from the drawn arm, a calibration those from the file."""
     diagnosed_as()
