@@ -16,6 +16,8 @@ CALIBRATION = "calibration.npz"
 """Its calibration."""
 
 _LIKELIER_THAN_ALL_OTHERS = 0.5
+_LAG = "sensor_lag"
+"""Without effect on readings at rest."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,15 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
             "Correct the load cell",
             "The arm is as its file says, and so is its estimator; the stated loads are not those "
             "that acted. With the loads as found, the arm reads what was recorded.",
-            _command(
-                "gap",
-                "predict",
-                given.recording,
-                arm=f"{given.out}/{AMENDED_ARM}",
-                out=f"{given.out}/predicted.csv",
-            ),
+            _predict_as_found(given),
+        )
+    if verdict.effects == (_LAG,):
+        return NextStep(
+            "Make the sensors faster",
+            "The arm is as its file says, and so is its estimator once readings have settled; a "
+            "force that changes is stated as late as the sensors are. With the lag as found, the "
+            "arm reads what was recorded.",
+            _predict_as_found(given),
         )
     if estimator is not None:
         return _keep_the_first(verdict, given)
@@ -102,6 +106,17 @@ def next_step(verdict: Verdict, given: Given) -> NextStep:
             arm=given.machine,
             out=f"{given.out.rstrip('/')}_adapted",
         ),
+    )
+
+
+def _predict_as_found(given: Given) -> str:
+    """The command that predicts the recording with the arm as it was found."""
+    return _command(
+        "gap",
+        "predict",
+        given.recording,
+        arm=f"{given.out}/{AMENDED_ARM}",
+        out=f"{given.out}/predicted.csv",
     )
 
 
