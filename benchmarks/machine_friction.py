@@ -6,10 +6,10 @@ Each machine is built within its tolerances, and rubs with a coefficient of fric
 in its reference pose, walks from pose to pose from rest to rest, with every bend of each tendon
 sticking or sliding (`cablesense_sim.machine.quasi_static`), and is touched there as in
 `machines.py`. A contact comes to the untouched machine, and goes; each is answered at rest, as by
-the node. With `denied` the file says that nothing rubs, with `unstated` it
-says nothing, so that the default applies. With `tolerance` and `followed` it states the
-coefficient; slides of tendons are then unknown in every pose, or known by the way and by the
-readings' change, as with `unstated`.
+the node. With `denied` the file says that nothing rubs, with `unstated` it says nothing, so that
+the default applies. With `tolerance` and `followed` it states the coefficient; slides of tendons
+are then unknown in every pose, or known by the way and by the readings' change, as with
+`unstated`.
 """
 
 from __future__ import annotations

@@ -115,8 +115,8 @@ def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path
     looser = law.arm.model_copy(update={"tolerances": tolerances})
     write_calibration(calibration, Calibrator(FeltArm(looser), law).by_tolerances())
     options = ["--recording", file, "--model", model, "--calibration", calibration]
-    told = CliRunner().invoke(app, ["evaluate", *map(str, options)])
-    assert "made with other tolerances" in " ".join(told.output.split())
+    evaluation = CliRunner().invoke(app, ["evaluate", *map(str, options)])
+    assert "made with other tolerances" in " ".join(evaluation.output.split())
 
 
 def test_a_network_of_several_contacts_is_refused(tmp_path):
