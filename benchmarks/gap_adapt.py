@@ -5,8 +5,8 @@
 Draws arms with two to five effects, one of which is among those that can mislead an estimator, in
 arms as a workshop builds them; with `--drawn` in arms that otherwise are as drawn. An arm counts
 if it misleads the estimator of its file by 2 N or more at the peaks of loads; `--count` such arms
-are adapted to. Errors before and after are those on the trials that the diagnosis did not have, where
-readings have settled. With the same folder it continues where it was stopped.
+are adapted to. Errors before and after are those on the trials that the diagnosis did not have,
+where readings have settled. With the same folder it continues where it was stopped.
 """
 
 from __future__ import annotations

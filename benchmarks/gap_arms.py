@@ -5,10 +5,11 @@
 Draws arms of 2 to 6 segments with 3 or 4 cables each, of 5 kN/m to 10 MN/m, as `cablesense info`
 accepts them. Their files state the tolerances that the plant scatters by. On each it runs `gap
 protocol`, `gap withhold` with one effect (all come in turn), `train` with few samples and `gap
-diagnose`, as a user does. A command ran if it ends with 0 and warns of nothing; a verdict is right if it names the effect alone. `--folder` keeps the files and
-continues there; `--minutes` starts no further arm after that time. Arms 9 and 10 of seed 9601,
-1 of 9602 and of 9604, 5 of 9603, and those of 9605 to 9614, 9700 and 9701 were looked at while
-the diagnosis was made. Those of 9610 to 9612 and 9615 were looked at after the measurement.
+diagnose`, as a user does. A command ran if it ends with 0 and warns of nothing; a verdict is right
+if it names the effect alone. `--folder` keeps the files and continues there; `--minutes` starts no
+further arm after that time. Arms 9 and 10 of seed 9601, 1 of 9602 and of 9604, 5 of 9603, and
+those of 9605 to 9614, 9700 and 9701 were looked at while the diagnosis was made. Those of 9610 to
+9612 and 9615 were looked at after the measurement.
 """
 
 from __future__ import annotations
