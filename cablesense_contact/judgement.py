@@ -133,7 +133,7 @@ class Judge:
         segment = int(evidence.argmax())
         top = float(evidence[segment])
         contact = top + math.log(float(np.exp(evidence - top).sum()))
-        weights = np.exp(np.append(0.0, evidence) - max(contact, 0.0))
+        weights = np.exp(np.array([0.0, *evidence.tolist()]) - max(contact, 0.0))
         probabilities = weights / weights.sum()
         touched = contact >= self._log_odds
 
@@ -195,11 +195,13 @@ class Judge:
         given, the moment in place of the force would say no more.
         """
         low_n, high_n = seen.magnitude_ci95_n[0].tolist()
-        size_n = float(np.hypot(*seen.force_n[0, 1:]))
+        _, y, z = seen.force_n[0].tolist()
+        size_n = math.hypot(y, z)
         farther_n = max(high_n - size_n, size_n - low_n)
         is_narrow = farther_n <= max(self._known_n, _KNOWN_SHARE_OF_FORCE * size_n)
-        on_others = np.delete(seen.contact_evidence[0], link) - seen.contact_evidence[0, link]
-        is_there = float(np.exp(on_others).sum()) <= CONTACT_DOUBTED_ABOVE
+        evidence = seen.contact_evidence[0]
+        on_all = float(np.exp(evidence - evidence[link]).sum())  # of which 1 is on the link
+        is_there = on_all - 1.0 <= CONTACT_DOUBTED_ABOVE
         place_is_given = bool(self._is_one_place[link]) and is_there
         return (is_narrow or place_is_given) and low_n <= size_n <= high_n
 

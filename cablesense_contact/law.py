@@ -86,7 +86,14 @@ GRAPH_INPUTS = ("reading_n", "command_rad", "mean", "covariance", "unrest_n2_m2"
 
 
 class Law(Protocol):
-    """Answers readings (B, M) at commands (B, 2N) by parameters with a mean and a covariance."""
+    """Answers readings (B, M) at commands (B, 2N) by parameters with a mean and a covariance.
+
+    Attributes:
+        most_together: as many readings are best answered in one call where several wait; 1 where
+            that takes as long as one after the other.
+    """
+
+    most_together: int
 
     def __call__(
         self,

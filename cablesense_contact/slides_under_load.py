@@ -13,7 +13,6 @@ stand for it have no derivation: they were chosen on arms of the plant with fric
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -200,8 +199,7 @@ class SlidesAtPose:
         return np.minimum(np.hypot(SLIDING_STD, turned_back), 1.0)
 
 
-@dataclass(frozen=True)
-class SlidesUnderLoad:
+class SlidesUnderLoad(NamedTuple):
     """What readings at one command have said of slides so far, from the untouched arm on.
 
     As long as no cable turns back, what has slid where follows from the change since the
@@ -283,8 +281,7 @@ class SlidesUnderLoad:
         moved = moved | (np.abs(now_n - turn_n) > self.moved_n)
         slides = self.pose.changed(at_turn, turn_n, now_n, moved, self.moved_n, self.friction)
         further = turns | (off_n * self.way > 0.0)
-        return replace(
-            smoothed,
+        return smoothed._replace(
             slides=slides,
             turn_n=turn_n,
             at_turn=at_turn,
@@ -298,7 +295,7 @@ class SlidesUnderLoad:
     def _smoothed(self, reading_n: Array) -> SlidesUnderLoad:
         """With the mean of the last readings while these do not change, else with the last."""
         if np.abs(reading_n - self.steady_n).max() > _STEADY_SHARE * self.moved_n:
-            return replace(self, steady_n=reading_n, steady_count=1)
+            return self._replace(steady_n=reading_n, steady_count=1)
         count = min(self.steady_count + 1, _SMOOTHED)
         steady_n = self.steady_n + (reading_n - self.steady_n) / count
-        return replace(self, steady_n=steady_n, steady_count=count)
+        return self._replace(steady_n=steady_n, steady_count=count)

@@ -10,9 +10,9 @@ a value: the same state and sample give the same answer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,9 +27,10 @@ from cablesense_msgs_py.messages import (
     cable_offsets_m,
     joint_command_rad,
 )
-from cablesense_msgs_py.serialized import EffortReader
+from cablesense_msgs_py.serialized import EffortReader, Efforts
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
+from cablesense_online.asked_together import AskedTogether
 from cablesense_online.breath_readings import BreathState, Mark, after_reading
 from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_online.contacts import ContactFinder, FoundContacts, Situation
@@ -60,8 +61,7 @@ class Sample:
     now_s: float
 
 
-@dataclass(frozen=True)
-class EstimationState:
+class EstimationState(NamedTuple):
     """All that one sample, command or tare leaves for the next.
 
     Attributes:
@@ -78,25 +78,24 @@ class EstimationState:
 
     motion: CommandedMotion
     unloaded: UnloadedState[Any]
-    stamps: Stamps = field(default_factory=Stamps)
-    breath: BreathState = field(default_factory=BreathState)
+    stamps: Stamps = Stamps()
+    breath: BreathState = BreathState()
     breath_rad: Array | None = None
-    torques: RecentTorques = field(default_factory=RecentTorques)
+    torques: RecentTorques = RecentTorques()
     is_commanded: bool = False
     tare_problem: str = ""
 
     @property
     def anew(self) -> EstimationState:
         """The same with samples that begin again: earlier ones do not count any more."""
-        return replace(
-            self, unloaded=self.unloaded.without_readings, torques=RecentTorques(), tare_problem=""
+        return self._replace(
+            unloaded=self.unloaded.without_readings, torques=RecentTorques(), tare_problem=""
         )
 
     @property
     def of_another_publisher(self) -> EstimationState:
         """The same before the first sample of another publisher."""
-        return replace(
-            self,
+        return self._replace(
             motion=self.motion.waiting_anew,
             breath=self.breath.moved,
             unloaded=self.unloaded.without_readings,
@@ -144,8 +143,60 @@ class ContactEstimator:
         unloaded = self.contacts.unloaded.begin(calibration)
         return EstimationState(self.gate.at_rest(self._machine.first_command), unloaded)
 
-    def answer(self, state: EstimationState, sample: Sample) -> tuple[EstimationState, Answer]:
-        """The answer to one sample, and the state after it."""
+    def answers(
+        self, state: EstimationState, samples: Sequence[Sample]
+    ) -> Iterator[tuple[EstimationState, Answer]]:
+        """The answers to samples that came together, in turn, each with the state after it.
+
+        They are those of `answer`, in less time.
+        """
+        asked = self._asked_together(state, samples) if len(samples) > 1 else ()
+        for sample in samples:
+            state, answer = self.answer(state, sample, asked)
+            yield state, answer
+
+    def _asked_together(
+        self, state: EstimationState, samples: Sequence[Sample]
+    ) -> tuple[AskedTogether, ...]:
+        """What contacts are asked for by the samples, where the arm rests and does not breathe."""
+        motion = state.motion
+        breath = state.breath
+        if motion.shut or self.gate.unrest(motion) or breath.breathing or breath.known:
+            return ()
+        readings_n = []
+        stamps_ns = []
+        for sample in samples:
+            try:
+                message = self._reader.read(sample.raw)
+                readings_n.append(self._checked(message))
+            except CableSenseError:
+                continue  # it is refused in its turn
+            stamps_ns.append(message.stamp_ns or sample.now_ns)
+        if not readings_n:
+            return ()
+        situation = Situation(motion.pose_rad, stamps_ns[0])
+        try:
+            return self.contacts.asked_together(state.unloaded, np.array(readings_n), situation)
+        except CableSenseError:
+            return ()  # one of them cannot be weighed, and is refused in its turn
+
+    def _checked(self, message: Efforts) -> Sequence[float]:
+        """(M,) the readings in a message, in the order of the channels.
+
+        Raises:
+            CableSenseError: a name or a value is not as it must be.
+        """
+        readings_n = self._cable_order.pick(message.names, message.values, "effort")
+        self._limits.check(readings_n)
+        return readings_n
+
+    def answer(
+        self, state: EstimationState, sample: Sample, asked: Sequence[AskedTogether] = ()
+    ) -> tuple[EstimationState, Answer]:
+        """The answer to one sample, and the state after it.
+
+        `asked` is what the law was asked already, of samples that came together.
+        """
         try:
             message = self._reader.read(sample.raw)
         except CableSenseError as error:
@@ -156,20 +207,21 @@ class ContactEstimator:
         except SampleError as problem:
             return state, refused(problem)
         stamp_ns = message.stamp_ns or sample.now_ns
-        state = self._moved(replace(state, stamps=stamps), stamp_ns, sample)
+        state = self._moved(state, stamps, stamp_ns, sample)
         try:
-            readings_n = self._cable_order.pick(message.names, message.values, "effort")
-            self._limits.check(readings_n)
+            readings_n = self._checked(message)
         except CableSenseError as error:
             return state, refused(_as_problem(error, ProblemKind.NAMES), stamp_ns)
         slack = slack_cables(readings_n, self._units, self.settings.slack_below_n)
         if state.motion.shut:
-            state = replace(state, torques=RecentTorques())
+            state = state._replace(torques=RecentTorques())
             return state, Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, slack_cables=slack)
-        state, answer = self._answered(state, readings_n, stamp_ns)
+        state, answer = self._answered(state, readings_n, stamp_ns, asked)
         return state, replace(answer, slack_cables=slack)
 
-    def _moved(self, state: EstimationState, stamp_ns: int, sample: Sample) -> EstimationState:
+    def _moved(
+        self, state: EstimationState, stamps: Stamps, stamp_ns: int, sample: Sample
+    ) -> EstimationState:
         """The state where the arm is at the sample's stamp."""
         motion = self.gate.at_sample(state.motion, stamp_ns, sample.now_ns, sample.now_s)
         unloaded = state.unloaded
@@ -177,19 +229,23 @@ class ContactEstimator:
             unloaded = self.contacts.unloaded.at(unloaded, motion.pose_rad)
         turning = not motion.shut and self.gate.turning(motion)
         breath = state.breath.moved if motion.stepped or turning else state.breath
-        return replace(state, motion=motion, unloaded=unloaded, breath=breath)
+        return state._replace(stamps=stamps, motion=motion, unloaded=unloaded, breath=breath)
 
     def _answered(
-        self, state: EstimationState, readings_n: Sequence[float], stamp_ns: int
+        self,
+        state: EstimationState,
+        readings_n: Sequence[float],
+        stamp_ns: int,
+        asked: Sequence[AskedTogether],
     ) -> tuple[EstimationState, Answer]:
         """Find contacts in checked readings (M,), and say what can be stated of them."""
         breath, freed_n = after_reading(state.breath, readings_n, stamp_ns, self._settle_ns)
-        state = replace(state, breath=breath)
+        state = state._replace(breath=breath)
         if freed_n is None:
             return state, Answer(force=ForceState.MOVING, stamp_ns=stamp_ns)
         if breath.known or not self.settings.await_breath:
             most = self.settings.tare_samples
-            state = replace(state, unloaded=with_reading(state.unloaded, freed_n, most))
+            state = state._replace(unloaded=with_reading(state.unloaded, freed_n, most))
         channels = self._machine.channels
         if state.unloaded.automatic and not refusal(state.unloaded, self.settings, channels):
             return self._tared_by_itself(state, stamp_ns)
@@ -197,10 +253,12 @@ class ContactEstimator:
         unrest = self.gate.unrest(motion)
         situation = Situation(motion.pose_rad, stamp_ns, unrest, breath.known)
         try:
-            unloaded, finding = self.contacts.find(state.unloaded, np.array(freed_n), situation)
+            unloaded, finding = self.contacts.find(
+                state.unloaded, np.array(freed_n), situation, asked
+            )
         except CableSenseError as error:
             return state, refused(_as_problem(error, ProblemKind.ESTIMATE), stamp_ns)
-        state = replace(state, unloaded=unloaded)
+        state = state._replace(unloaded=unloaded)
         if finding is None:
             return state, Answer(force=ForceState.UNTARED, stamp_ns=stamp_ns)
         state, force, doubt = self._stated(state, finding, stamp_ns)
@@ -229,8 +287,8 @@ class ContactEstimator:
             unloaded = self.contacts.unloaded.taken(state.unloaded, stamp_ns, by_itself=True)
         except TareError as error:
             unloaded = state.unloaded.without_readings
-            return replace(state, unloaded=unloaded, tare_problem=str(error)), untared
-        tared = replace(state, unloaded=unloaded, tare_problem="")
+            return state._replace(unloaded=unloaded, tare_problem=str(error)), untared
+        tared = state._replace(unloaded=unloaded, tare_problem="")
         return tared, replace(untared, new_tare=unloaded.tares[-1])
 
     def _stated(
@@ -243,7 +301,7 @@ class ContactEstimator:
         segment = 1 + int(np.argmax(estimate.probabilities[1:]))
         lever_m = float(self._joint_m[segment - 1]) + estimate.place.place_m
         torques, has_changed = with_torque(state.torques, estimate, lever_m, stamp_ns)
-        state = replace(state, torques=torques)
+        state = state._replace(torques=torques)
         is_vouched_for = finding.force in (ForceState.CONTACT, ForceState.MOMENT)
         if has_changed and is_vouched_for:
             return state, ForceState.UNCONFIRMED, _TRANSIENT
@@ -268,13 +326,13 @@ class ContactEstimator:
             return self.sent_to(state, command_rad)
         breath_rad = None if turn == BREATH_END else command_rad
         marked = state.breath.marked(_mark(turn, message))
-        return replace(state, breath=marked, breath_rad=breath_rad)
+        return state._replace(breath=marked, breath_rad=breath_rad)
 
     def sent_to(self, state: EstimationState, command_rad: Array) -> EstimationState:
         """The state after a command (2N,)."""
         motion = state.motion
         if np.array_equal(command_rad, motion.command_rad):
-            return replace(state, is_commanded=True)
+            return state._replace(is_commanded=True)
         unloaded = state.unloaded
         breath = state.breath
         if not self.gate.follows(motion, command_rad):
@@ -283,8 +341,7 @@ class ContactEstimator:
                 unloaded = self._without_own_tare(unloaded)
             unloaded = unloaded.without_readings
             breath = breath.moved
-        return replace(
-            state,
+        return state._replace(
             motion=self.gate.commanded(motion, command_rad),
             unloaded=unloaded,
             breath=breath,
@@ -307,11 +364,11 @@ class ContactEstimator:
         elif offsets_m.any() or breath.breathing:
             turn = 0 if offsets_m.any() else BREATH_END
             breath = breath.marked(_mark(turn, message, unstamped=True))
-        return replace(state, breath=breath)
+        return state._replace(breath=breath)
 
     def without_breather(self, state: EstimationState, problem: str) -> EstimationState:
         """The state after the breather has gone in mid-breath; its last command counts."""
-        state = replace(state, breath=state.breath.given_up(problem))
+        state = state._replace(breath=state.breath.given_up(problem))
         return state if state.breath_rad is None else self.sent_to(state, state.breath_rad)
 
     def tared(self, state: EstimationState, now_ns: int, *, forced: bool) -> EstimationState:
@@ -322,7 +379,7 @@ class ContactEstimator:
                 those of the untouched arm.
         """
         unloaded = self.contacts.unloaded.taken(state.unloaded, now_ns, forced=forced)
-        return replace(state, unloaded=unloaded, tare_problem="")
+        return state._replace(unloaded=unloaded, tare_problem="")
 
     def tare_undone(self, state: EstimationState, now_ns: int) -> EstimationState:
         """The state before the last tare; without any, one of the latest readings takes its place.
@@ -342,7 +399,7 @@ class ContactEstimator:
                     "the tare in force is the only one, and is kept, as without it no force is "
                     f"known; another in its place was refused: {problem}"
                 ) from None
-        return replace(state, unloaded=undone)
+        return state._replace(unloaded=undone)
 
     def with_calibration(
         self, state: EstimationState, calibration: Calibration
@@ -353,7 +410,7 @@ class ContactEstimator:
             TareError: the model is a network, which takes none.
         """
         arm, unloaded = self._calibrated(state)
-        return replace(state, unloaded=arm.loaded(unloaded, calibration))
+        return state._replace(unloaded=arm.loaded(unloaded, calibration))
 
     def restored(
         self, state: EstimationState, calibration: Calibration, command_rad: Array, *, known: bool
@@ -366,7 +423,7 @@ class ContactEstimator:
         arm, unloaded = self._calibrated(state)
         motion = state.motion if state.is_commanded else self.gate.at_rest(command_rad)
         restored = arm.restored(unloaded, calibration, known=known)
-        return replace(state, motion=motion, unloaded=restored)
+        return state._replace(motion=motion, unloaded=restored)
 
     def _calibrated(self, state: EstimationState) -> tuple[CalibratedArm, CalibratedState]:
         arm = self.contacts.unloaded

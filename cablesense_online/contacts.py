@@ -7,6 +7,7 @@ plain form, about the difference to the tared readings.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,8 +19,10 @@ from cablesense_contact.felt import FeltMachine, torque_covariance_at_rest
 from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
+from cablesense_contact.slides import Belief
 from cablesense_msgs_py.messages import Contact, ForceState
 from cablesense_online.answer import decide
+from cablesense_online.asked_together import AskedTogether
 from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_online.motion import Unrest
 from cablesense_online.tare import UnloadedArm
@@ -85,16 +88,31 @@ class ContactFinder(Protocol):
         """Whether the force on each segment is stated."""
         ...
 
+    @property
+    def most_together(self) -> int:
+        """As many readings are best asked of together where several wait."""
+        ...
+
     def with_threshold(self, contact_threshold: float) -> ContactFinder:
         """The same, that states contacts from this probability on."""
         ...
 
-    def find(
+    def asked_together(
         self, state: Any, reading_n: Array, situation: Situation
+    ) -> tuple[AskedTogether, ...]:
+        """What will be asked of readings (K, M) that came together, as far as can be told."""
+        ...
+
+    def find(
+        self,
+        state: Any,
+        reading_n: Array,
+        situation: Situation,
+        asked: Sequence[AskedTogether] = (),
     ) -> tuple[Any, FoundContacts | None]:
         """The contacts behind readings (M,), and what is known of the unloaded arm after them.
 
-        None while the unloaded state is unknown.
+        None while the unloaded state is unknown. What was asked already is not asked again.
         """
         ...
 
@@ -121,14 +139,44 @@ class LawContacts:
         self._joint_m = machine.joint_m
         self._covariance_at_rest = torque_covariance_at_rest(machine)
 
+    @property
+    def most_together(self) -> int:
+        """As of the law."""
+        return self._law.most_together
+
     def with_threshold(self, contact_threshold: float) -> LawContacts:
         """The same with another probability from which on a contact is stated."""
         return LawContacts(
             self._machine, self._law, self.unloaded, contact_threshold, self._hidden_above_n
         )
 
-    def find(
+    def asked_together(
         self, state: CalibratedState, reading_n: Array, situation: Situation
+    ) -> tuple[AskedTogether, ...]:
+        """What the law says of readings (K, M) that came together, as `find` will ask it.
+
+        By what is known at the first of them. That seldom changes from one to the next; where it
+        does, `find` asks again.
+        """
+        if not state.known:
+            return ()
+        torques_n2_m2 = self._torques_of(situation.unrest)
+        commands_rad = np.tile(situation.pose_rad, (len(reading_n), 1))
+        asked = []
+        for touched in (False,) if self.unloaded.seen_untouched(state) else (False, True):
+            _, belief = self._belief(state, reading_n[0], situation, touched=touched)
+            seen = self._law(
+                reading_n, commands_rad, belief.mean, belief.covariance, torques_n2_m2
+            )
+            asked.append(AskedTogether(reading_n, situation.pose_rad, belief, torques_n2_m2, seen))
+        return tuple(asked)
+
+    def find(
+        self,
+        state: CalibratedState,
+        reading_n: Array,
+        situation: Situation,
+        asked: Sequence[AskedTogether] = (),
     ) -> tuple[CalibratedState, FoundContacts | None]:
         """The contacts in a reading (M,), N, and the state after it; None while untared.
 
@@ -139,10 +187,10 @@ class LawContacts:
         """
         if not state.known:
             return state, None
-        state, seen = self._seen(state, reading_n, situation)
+        state, seen = self._seen(state, reading_n, situation, asked)
         judgement = self._judge(seen, reading_n)
         if judgement.state is not ContactState.FREE and not self.unloaded.seen_untouched(state):
-            state, seen = self._seen(state, reading_n, situation, touched=True)
+            state, seen = self._seen(state, reading_n, situation, asked, touched=True)
             judgement = self._judge(seen, reading_n)
         force = _STATES[judgement.state]
         if force is ForceState.FREE and situation.unrest is None:
@@ -167,21 +215,30 @@ class LawContacts:
         state: CalibratedState,
         reading_n: Array,
         situation: Situation,
+        asked: Sequence[AskedTogether],
         *,
         touched: bool = False,
     ) -> tuple[CalibratedState, LawOutput]:
         """What the law says of a reading (M,), by what is known of the arm then."""
-        state, belief = self.unloaded.belief(
-            state, reading_n, situation.stamp_ns, freed=situation.freed, touched=touched
-        )
+        state, belief = self._belief(state, reading_n, situation, touched=touched)
+        pose_rad = situation.pose_rad
+        torques_n2_m2 = self._torques_of(situation.unrest)
+        for together in asked:
+            seen = together.answer(reading_n, pose_rad, belief, torques_n2_m2)
+            if seen is not None:
+                return state, seen
         seen = self._law(
-            reading_n[None],
-            situation.pose_rad[None],
-            belief.mean,
-            belief.covariance,
-            self._torques_of(situation.unrest),
+            reading_n[None], pose_rad[None], belief.mean, belief.covariance, torques_n2_m2
         )
         return state, seen
+
+    def _belief(
+        self, state: CalibratedState, reading_n: Array, situation: Situation, *, touched: bool
+    ) -> tuple[CalibratedState, Belief]:
+        """What is known of the arm at a reading (M,)."""
+        return self.unloaded.belief(
+            state, reading_n, situation.stamp_ns, freed=situation.freed, touched=touched
+        )
 
     def _torques_of(self, unrest: Unrest | None) -> Array:
         """(T, T) covariance of the torques of a motion."""
@@ -256,6 +313,8 @@ class LawContacts:
 class NetworkContacts:
     """Contacts by a network of the paper, at the contact points of the arm file, at rest."""
 
+    most_together = 1
+
     def __init__(
         self,
         arm: Arm,
@@ -278,10 +337,22 @@ class NetworkContacts:
             self._file, self._network, self.unloaded, contact_threshold, self._hidden_above_n
         )
 
-    def find(
+    def asked_together(
         self, state: TaredState, reading_n: Array, situation: Situation
+    ) -> tuple[AskedTogether, ...]:
+        """Nothing: each reading is asked of when its turn comes."""
+        del state, reading_n, situation
+        return ()
+
+    def find(
+        self,
+        state: TaredState,
+        reading_n: Array,
+        situation: Situation,
+        asked: Sequence[AskedTogether] = (),
     ) -> tuple[TaredState, FoundContacts | None]:
         """The contacts in a reading (M,), N, and the state after it; None while untared."""
+        del asked
         if not state.known:
             return state, None
         state = self.unloaded.predicted(state)

@@ -6,7 +6,7 @@ input is silent, which publisher is followed, and what is counted for diagnostic
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,7 +70,7 @@ class Estimation:
     def begin_at(self, pose_rad: Array) -> None:
         """Before the first sample: the arm rests at a pose (2N,), and not straight."""
         motion = self.estimator.gate.at_rest(pose_rad)
-        self.state = replace(self.state, motion=motion)
+        self.state = self.state._replace(motion=motion)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this publication number on.
@@ -94,10 +94,25 @@ class Estimation:
 
         `now_ns` is of the clock that sets the stamps, `now_s` monotonic.
         """
-        sample = Sample(raw, now_ns, now_s)
-        self.state, answer = self.estimator.answer(self.state, sample)
-        self.counts.count(sample, answer)
+        (answer,) = self.samples([raw], now_ns, now_s)
         return answer
+
+    @property
+    def most_together(self) -> int:
+        """As many samples are best answered together where several wait."""
+        return self.estimator.contacts.most_together
+
+    def samples(self, raws: Sequence[bytes], now_ns: int, now_s: float) -> Iterator[Answer]:
+        """The answers to samples that came together, in turn.
+
+        Each is given as soon as it is known, and the state is then the one after that sample.
+        """
+        samples = [Sample(raw, now_ns, now_s) for raw in raws]
+        answers = self.estimator.answers(self.state, samples)
+        for sample, (state, answer) in zip(samples, answers, strict=True):
+            self.state = state
+            self.counts.count(sample, answer)
+            yield answer
 
     def stale(self, now_s: float) -> bool:
         """Whether the last message is too old for its answer to be valid."""

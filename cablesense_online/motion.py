@@ -28,8 +28,8 @@ which a command that is followed may bring forward, never put off. What the word
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -57,8 +57,7 @@ LONG_AGO_NS: Final = -(2**62)
 """A stamp before all others."""
 
 
-@dataclass(frozen=True)
-class CommandedMotion:
+class CommandedMotion(NamedTuple):
     """What is known of the arm's motion at the last sample, and of the commands since.
 
     Attributes:
@@ -112,7 +111,7 @@ class CommandedMotion:
     @property
     def waiting_anew(self) -> CommandedMotion:
         """The same, waiting from the next sample on as after a command to the present pose."""
-        return replace(self, starting=True, heading=True)
+        return self._replace(starting=True, heading=True)
 
 
 @dataclass(frozen=True)
@@ -166,8 +165,7 @@ class MotionGate:
         """The motion with another command (2N,) in force."""
         turn_rad = command_rad - motion.command_rad
         size_rad = float(np.linalg.norm(turn_rad))
-        return replace(
-            motion,
+        return motion._replace(
             command_rad=command_rad.copy(),
             net_turn_rad=_AVERAGE_KEPT_SHARE * motion.net_turn_rad
             + (1.0 - _AVERAGE_KEPT_SHARE) * turn_rad,
@@ -204,13 +202,13 @@ class MotionGate:
             swing_rad_s2 = max(|acceleration|, earlier swing x exp(-3 time since / settle_s)).
         """
         if self._rests(motion, stamp_ns):
-            return replace(motion, last_ns=stamp_ns, stepped=0)
+            return motion._replace(last_ns=stamp_ns, stepped=0)
         is_first = motion.last_ns == LONG_AGO_NS
         at_stamp = _with_stamp(motion, stamp_ns)
         with_set_points = at_stamp
         if at_stamp.course.moving:
             on_course_s = max(0, stamp_ns - at_stamp.course_from_ns) * 1e-9
-            moved_on = replace(at_stamp, course=at_stamp.course.at(on_course_s))
+            moved_on = at_stamp._replace(course=at_stamp.course.at(on_course_s))
             with_set_points = self._swinging_on(moved_on)
         to_command = with_set_points
         if with_set_points.heading:
@@ -255,7 +253,7 @@ class MotionGate:
         turned_ns = motion.turned_ns
         if turn_rad > self._still_within:
             turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
-        return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
+        return motion._replace(course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
 
     def _waiting_for_course(
         self, motion: CommandedMotion, sampled_s: float, *, first: bool
@@ -272,12 +270,8 @@ class MotionGate:
         rest_from_s = motion.rest_from_s
         if changed or first:
             rest_from_s = sampled_s + (rest_from_ns - motion.last_ns) * 1e-9
-        return replace(
-            motion,
-            rest_from_ns=rest_from_ns,
-            rest_from_s=rest_from_s,
-            heading=False,
-            starting=False,
+        return motion._replace(
+            rest_from_ns=rest_from_ns, rest_from_s=rest_from_s, heading=False, starting=False
         )
 
     def _at_pose(self, motion: CommandedMotion) -> CommandedMotion:
@@ -286,7 +280,7 @@ class MotionGate:
         off_rad = float(np.abs(angles_rad - motion.pose_rad).max())
         follows = self._follow_s or off_rad > self._still_within
         far = off_rad > self._pose_step or (off_rad and not motion.course.moving)
-        return replace(motion, pose_rad=angles_rad) if follows and far else motion
+        return motion._replace(pose_rad=angles_rad) if follows and far else motion
 
     def _swinging_on(self, motion: CommandedMotion) -> CommandedMotion:
         """With the accelerations of the set-points, or the decayed earlier ones if larger."""
@@ -295,7 +289,7 @@ class MotionGate:
         if self._swings(motion):
             earlier_rad_s2 = motion.swing_rad_s2 * self._left_of_swing(motion)
             swing_rad_s2 = np.maximum(swing_rad_s2, earlier_rad_s2)
-        return replace(motion, swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
+        return motion._replace(swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
 
     def _swings(self, motion: CommandedMotion) -> bool:
         return motion.last_ns - motion.swung_ns < _SETTLES_REMEMBERED * self._settle_ns
@@ -309,9 +303,8 @@ def _with_stamp(motion: CommandedMotion, stamp_ns: int) -> CommandedMotion:
     """The motion at another stamp; where stamps have stepped back, all times step with them."""
     back_ns = motion.last_ns - stamp_ns
     if back_ns <= 0:
-        return replace(motion, last_ns=stamp_ns, stepped=0)
-    return replace(
-        motion,
+        return motion._replace(last_ns=stamp_ns, stepped=0)
+    return motion._replace(
         last_ns=stamp_ns,
         rest_from_ns=motion.rest_from_ns - back_ns,
         course_from_ns=motion.course_from_ns - back_ns,
@@ -328,13 +321,12 @@ def _held_shut(motion: CommandedMotion, now_s: float) -> CommandedMotion:
         return motion
     rest_from_ns = motion.last_ns + round(left_s * 1e9)
     if motion.course_from_ns >= motion.last_ns:
-        return replace(motion, rest_from_ns=rest_from_ns, stepped=1)
+        return motion._replace(rest_from_ns=rest_from_ns, stepped=1)
     # set-points have not jumped with the stamps
     jump_ns = rest_from_ns - motion.rest_from_ns
     course_from_ns = motion.course_from_ns + jump_ns
     elapsed_s = max(0, motion.last_ns - course_from_ns) * 1e-9
-    return replace(
-        motion,
+    return motion._replace(
         rest_from_ns=rest_from_ns,
         course_from_ns=course_from_ns,
         turned_ns=motion.turned_ns + jump_ns,

@@ -59,8 +59,8 @@ def with_torque(
     apart_n_m = np.hypot(*(torques_n_m - torque_n_m).T)
     has_changed = bool((apart_n_m > halves_n_m + half_n_m).any())
     recent = RecentTorques(
-        np.append(before.stamps_ns[is_recent], stamp_ns),
-        np.vstack([torques_n_m, torque_n_m]),
-        np.append(halves_n_m, half_n_m),
+        np.concatenate([before.stamps_ns[is_recent], [stamp_ns]]),
+        np.concatenate([torques_n_m, torque_n_m[None]]),
+        np.concatenate([halves_n_m, [half_n_m]]),
     )
     return recent, has_changed

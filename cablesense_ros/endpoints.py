@@ -161,37 +161,68 @@ def subscribe_to_one(
 ) -> Subscription:
     """A raw subscription: `take` gets the messages of one publisher, never of two in turn.
 
-    The events executor of rclpy gives messages until there are none. Where they come faster than
-    `take` is done with them, nothing else would ever run: no command, no service, no timer, not
-    even the end of the process. So those that wait after `turn_s` are left out.
-
     `refuse` gets why a message of another is not used. `accept` stands in place of
     `publisher.accept`, which it calls. `events` are callbacks by the names of rclpy.
     """
+
+    def take_each(messages: Sequence[bytes]) -> None:
+        for message in messages:
+            take(message)
+
+    return subscribe_to_those_waiting(
+        node, kind, topic, qos, publisher, take_each, refuse, 1, accept, turn_s, **events
+    )
+
+
+def subscribe_to_those_waiting(
+    node: Node,
+    kind: type,
+    topic: str,
+    qos: Qos,
+    publisher: FollowedPublisher,
+    take: Callable[[Sequence[bytes]], object],
+    refuse: Callable[[SampleError], object],
+    most_together: int,
+    accept: Callable[[int, float], bool] | None = None,
+    turn_s: float = _TURN_S,
+    **events: Callable[[Any], None],
+) -> Subscription:
+    """As `subscribe_to_one`, where `take` gets those that wait, up to `most_together` at once.
+
+    The events executor of rclpy gives messages until there are none. Where they come faster than
+    `take` is done with them, nothing else would ever run: no command, no service, no timer, not
+    even the end of the process. So those that wait after `turn_s` are left out.
+    """
     accept = accept or publisher.accept
 
-    def receive_one(message: bytes, information: Any) -> None:
+    def is_accepted(information: Any) -> bool:
         try:
             another = accept(information["publication_sequence_number"], time.monotonic())
         except SampleError as problem:
             refuse(problem)
-            return
+            return False
         if another:
             node.get_logger().warning(
                 f"{topic}: messages of another publisher, or of one of several, are used from "
                 "now on",
                 throttle_duration_sec=WARN_EVERY_S,
             )
-        take(message)
+        return True
 
     def receive(message: Any, information: Any = None) -> None:
         if information is None:  # the events executor of rclpy 7.1 gives both as one tuple
             message, information = message
-        began_s = time.monotonic()
-        receive_one(message, information)
-        while waiting := _waiting(subscription):
-            if time.monotonic() < began_s + turn_s:
-                receive_one(*waiting)
+        turn_ends_s = time.monotonic() + turn_s
+        waiting: tuple[bytes, Any] | None = (message, information)
+        while waiting:
+            together: list[bytes] = []
+            while waiting and len(together) < most_together:
+                message, information = waiting
+                if time.monotonic() < turn_ends_s and is_accepted(information):
+                    together.append(message)
+                waiting = _waiting(subscription)
+            if together:
+                take(together)
 
     # rclpy looks at the signature for whether information is wanted
     receive.__signature__ = Signature(  # type: ignore[attr-defined]

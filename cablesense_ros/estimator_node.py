@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -40,7 +41,7 @@ from cablesense_ros.endpoints import (
     RefusalLog,
     serve,
     steady_timer,
-    subscribe_to_one,
+    subscribe_to_those_waiting,
 )
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, parameter_values, run_node
@@ -68,14 +69,15 @@ class EstimatorNode(ConfiguredNode):
         self._estimation.start(time.monotonic())
         self._outputs.publish_calibration(self._estimation, self._now_ns())
         at_end = self._while_active.callback
-        samples = subscribe_to_one(
+        samples = subscribe_to_those_waiting(
             self,
             JointState,
             topics.CABLE_TENSIONS,
             SENSOR_QOS,
             self._estimation.publisher,
-            self._on_sample,
+            self._on_samples,
             partial(self._refuse_sample, topics.CABLE_TENSIONS),
+            self._estimation.most_together,
             self._estimation.follow,
             message_lost=self._on_lost,
         )
@@ -137,16 +139,16 @@ class EstimatorNode(ConfiguredNode):
         for note in prior_notes(calibration, machine, path):
             self.get_logger().warning(note)
 
-    def _on_sample(self, raw: bytes) -> None:
+    def _on_samples(self, raws: Sequence[bytes]) -> None:
         now_ns = self._now_ns()
         now_s = time.monotonic()
-        answer = self._estimation.sample(raw, now_ns, now_s)
-        self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
-        if answer.problem is not None:
-            self._refuse_sample(topics.CABLE_TENSIONS, answer.problem)
-        if answer.new_tare is not None:
-            self._log_tare(answer.new_tare, "by itself (auto_tare)")
-            self._outputs.publish_calibration(self._estimation, now_ns)
+        for answer in self._estimation.samples(raws, now_ns, now_s):
+            self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
+            if answer.problem is not None:
+                self._refuse_sample(topics.CABLE_TENSIONS, answer.problem)
+            if answer.new_tare is not None:
+                self._log_tare(answer.new_tare, "by itself (auto_tare)")
+                self._outputs.publish_calibration(self._estimation, now_ns)
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation.command(message):

@@ -18,6 +18,8 @@ from cablesense_sim.uncertain_arm import arm_parameters
 
 _ROWS_AT_ONCE = 256
 """A row holds some hundred kilobytes while it runs."""
+_MOST_TOGETHER = 8
+"""A call of the graph costs as much as one or two rows: with eight most of that is saved."""
 
 
 class LawModel:
@@ -26,6 +28,8 @@ class LawModel:
     Attributes:
         metadata: what the file states about itself.
     """
+
+    most_together = _MOST_TOGETHER
 
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         """Open a model file, for a certain arm where one is given.

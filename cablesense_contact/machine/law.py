@@ -77,6 +77,8 @@ class MachineLaw:
         observer: makes observations of its readings.
     """
 
+    most_together = 1
+
     def __init__(self, machine: Machine, state: Stater) -> None:
         self.machine = machine
         self.observer = Observer(machine)

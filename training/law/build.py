@@ -112,6 +112,8 @@ class TorchLaw:
         estimator: the module that answers.
     """
 
+    most_together = 1
+
     def __init__(self, arm: Arm, unexplained_n2: float = 0.0) -> None:
         """Build it; see `arm_estimator`."""
         self.arm = arm

@@ -23,6 +23,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.kinematics import segment_rotations
+from cablesense_sim.loads import normal_force_n
 from tests.helpers.joint_commands import joint_command
 from tests.helpers.sample_feed import (
     ARM,
@@ -210,6 +211,53 @@ def test_the_same_state_and_sample_give_the_same_answer_whatever_was_asked_betwe
         assert again.force is answer.force
         assert again.probabilities == answer.probabilities
         assert second.stamps == first.stamps
+
+
+def test_samples_that_come_together_are_answered_as_one_by_one_in_fewer_questions(law):
+    """Untouched, pushed, and with one in the middle that is refused."""
+    asked = Counted(law)
+    feed = Feed(contacts=known(asked)).tared()
+    fed(feed, UNLOADED, 60)
+    began = feed.estimation.state
+    force_n = normal_force_n(MECHANISM, np.zeros(8), segment=3, angle_deg=70.0, magnitude_n=40.0)
+    pushed = solve_equilibrium(MECHANISM, np.zeros(8), force_n).tensions_n
+    pushes = [UNLOADED, UNLOADED, pushed, np.full(12, np.nan), pushed, pushed + 0.01]
+    stamps_ns = feed.now_ns + 10**6 * np.arange(1, len(pushes) + 1)
+    raws = [message_bytes(*sent) for sent in zip(pushes, stamps_ns.tolist(), strict=True)]
+    now_ns = int(stamps_ns[-1])
+    asked.calls = 0
+    together = list(feed.estimation.samples(raws, now_ns, 1.0))
+    calls_together = asked.calls
+    state = feed.estimation.state
+    feed.estimation.state = began
+    asked.calls = 0
+    in_turn = [feed.estimation.sample(raw, now_ns, 1.0) for raw in raws]
+    assert calls_together < asked.calls
+    assert {answer.force for answer in in_turn} == {
+        ForceState.FREE,
+        ForceState.UNCONFIRMED,  # it has just changed
+        ForceState.REFUSED,
+    }
+    for one, other in zip(together, in_turn, strict=True):
+        assert one.force is other.force
+        np.testing.assert_allclose(one.probabilities, other.probabilities, atol=1e-9)
+        for contact, same in zip(one.contacts, other.contacts, strict=True):
+            np.testing.assert_allclose(contact, same, rtol=1e-9, atol=1e-12)
+    assert state.stamps == feed.estimation.state.stamps
+
+
+class Counted:
+    """A law that counts how often it is asked, and takes as many readings at once as come."""
+
+    most_together = 100
+
+    def __init__(self, law):
+        self.law = law
+        self.calls = 0
+
+    def __call__(self, *inputs):
+        self.calls += 1
+        return self.law(*inputs)
 
 
 class Beside:

@@ -1,7 +1,5 @@
 """The gate is shut as long as the arm can be moving."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -143,7 +141,7 @@ def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
         counts.count(Sample(b"", stamp_ns, stamp_ns * 1e-9), answer)
         blind_s = counts.blind_s(watched.motion.last_ns)
         state = EstimationState(watched.motion, UnloadedState(None, False, False))
-        state = replace(state, is_commanded=True)
+        state = state._replace(is_commanded=True)
         return motion_status(estimator, state, blind_s, pose_range_deg=10.0, refused=0)
 
     for step in range(400):
