@@ -141,8 +141,12 @@ def check_law(law: Law, arm: Arm, samples: int = _SAMPLES, seed: int = _SEED) ->
     return _figures(law, arm, protocol, touches.select(rests), readings_n[rests])
 
 
-def require_sound(law: Law, arm: Arm, least_answered: float = LEAST_ANSWERED) -> LawCheck:
+def require_sound(
+    law: Law, arm: Arm, least_answered: float = LEAST_ANSWERED, remedy: str = ""
+) -> LawCheck:
     """Check a law, and refuse one that answers worse than it states, or too seldom.
+
+    `remedy` is what would help, where that is not another arm.
 
     Raises:
         TrainingError: what it does, where, and what would help.
@@ -153,15 +157,16 @@ def require_sound(law: Law, arm: Arm, least_answered: float = LEAST_ANSWERED) ->
         raise TrainingError(
             f"the estimator of arm {arm.identity} does not hold on the arm's own statics: within "
             f"{check.pose_range_deg:g} degrees and up to {check.force_range_n:g} N {check.fault}; "
-            f"a cable is slack in {check.slack:.0%} of these readings: {_remedy(check)}"
+            f"{remedy or _remedy(check)}"
         )
     return check
 
 
 def _remedy(check: LawCheck) -> str:
+    another_arm = "raise the cables' stiffness or cables.routing_radius_m"
     if check.slack > MOST_FALSE:
-        return "raise cables.pretension_n, or lower segments.mass_kg"
-    return "raise the cables' stiffness or cables.routing_radius_m"
+        another_arm = "raise cables.pretension_n, or lower segments.mass_kg"
+    return f"a cable is slack in {check.slack:.0%} of these readings: {another_arm}"
 
 
 def _figures(

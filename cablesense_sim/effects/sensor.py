@@ -154,7 +154,15 @@ class SensorLag(Effect):
     order = -2
     needs_time = True
     parameters = (
-        Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
+        Parameter(
+            "time_constant_s",
+            "s",
+            0.0,
+            20.0,
+            0.3,
+            "until 63 % of a step is through",
+            starts=(0.3, 3.0),  # shorter and longer than loads rise: its change is far from linear
+        ),
         shape(
             "second_share",
             "1",

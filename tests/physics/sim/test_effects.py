@@ -188,6 +188,27 @@ def test_rows_on_a_straight_line_add_nothing_to_a_lag(seed: int, tau: float, sha
     np.testing.assert_allclose(sensed(late, every_n, every_s)[:, kept], few, atol=1e-4)
 
 
+@pytest.mark.parametrize("tau", [0.1, 0.3, 1.0, 2.0, 5.0, 10.0])
+def test_the_lags_that_a_search_begins_with_are_much_alike_any_other(tau: float) -> None:
+    """The change by one of them, scaled, is three quarters of that by a lag under slow loads."""
+    at_s = np.arange(0.0, 60.0, 0.05)
+    rising_3_s = np.interp(at_s % 20.0, [0.0, 3.0, 7.0, 10.0, 20.0], [0.0, 1.0, 1.0, 0.0, 0.0])
+    tension_n = 20.0 * rising_3_s[:, None] * np.ones(12)
+
+    def changed_by(tau: float) -> np.ndarray:
+        late = [entry("sensor_lag", "cable_3", time_constant_s=tau)]
+        return np.asarray(sensed(late, tension_n, at_s)[0, :, 2] - tension_n[:, 2])
+
+    time_constant = entry("sensor_lag", "cable_3").effect.parameters[0]
+    true = changed_by(tau)
+    alike = []
+    for start in time_constant.starts:
+        change = changed_by(start)
+        left = true - change * (change @ true) / (change @ change)
+        alike.append(1.0 - (left @ left) / (true @ true))
+    assert max(alike) >= 0.75
+
+
 def held_by(entries: list[EffectEntry], commanded_m: np.ndarray) -> np.ndarray:
     """Lengths (P, R) that cable 3 of P arms really has under commands (R,) for it."""
     actuation = entries[0].effect.actuation(entries[0].place, side_by_side(entries))

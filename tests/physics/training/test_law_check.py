@@ -90,6 +90,14 @@ def test_an_arm_whose_cables_go_slack_is_refused_and_leaves_no_file(tmp_path):
     assert not path.exists()
 
 
+@pytest.mark.slow
+def test_where_readings_stay_unexplained_that_is_said_and_no_other_arm_is_asked_for(tmp_path):
+    arm = variant({}, "cdsm_lab")
+    with pytest.raises(TrainingError, match=r"off by 1e\+03 N \(RMS\): first find") as refusal:
+        export_law(arm, tmp_path / "unexplained.onnx", "cablesense gap adapt", 1e6)
+    assert "pretension" not in str(refusal.value)
+
+
 def test_an_arm_that_cannot_stand_is_refused(tmp_path):
     arm = variant({"segments.mass_kg": 50.0}, "cdsm_lab")
     with pytest.raises(WeakArmError, match="cannot stand"):
