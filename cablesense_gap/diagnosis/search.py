@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, combinations
+from itertools import chain, combinations, product
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from cablesense_gap.diagnosis.duration import (
     WITHOUT_MEMORY_ENDS,
     may_depend_on_history,
 )
-from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
+from cablesense_gap.diagnosis.fitting import MOST_STEPS, fit, refine, refit, refitted, without
 from cablesense_gap.diagnosis.nuisance import final_refinement, with_nuisance_at
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
 from cablesense_gap.diagnosis.selection import (
@@ -132,7 +132,7 @@ class _Search:
             self._take_search_steps([])
         if not self._history_dependent:
             self._exchange_best()
-        elif not self._is_resolved() and self._may_depend_on_history():
+        elif not self._is_explained() and self._may_depend_on_history():
             self._add_history_dependent()
         self._compare()
         self._progress("done", 1.0)
@@ -140,7 +140,11 @@ class _Search:
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
 
     def _take_search_steps(self, known: Sequence[LinearEffect]) -> None:
-        """Expands the best hypotheses; `known` columns of effects serve as they are."""
+        """Expands the best hypotheses.
+
+        `known` columns serve as they are: those of history-dependent effects, which are tried
+        where the gap is nearly resolved, too, as they may be what an imitation leaves.
+        """
         score = self._problem.score
         fruitless = 0
         for _ in range(_MOST_EXPANDED):
@@ -149,11 +153,14 @@ class _Search:
             self._refine_history()
             best = self._best()
             start = self._next(worth_it=not known)
-            resolved = self._is_resolved()
+            resolved = self._is_explained() if known else self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._problem.is_explained(best):
                 break
             if resolved and start is not best:
                 break
+            if known:  # with nuisance parameters as apt as those of the best
+                self._refine([start])
+                start = self._fitted_by_effects[start.effects]
             columns = [*known, *self._columns(self._memoryless, start)]
             self._expand(start, columns)
             if self._best() is best is start and not resolved:
@@ -369,6 +376,8 @@ class _Search:
         """Refines the best hypotheses, and the best without each of its effects."""
         self._until = COMPARING_ENDS
         self._refine_best()
+        self._try_other_shapes(self._best())
+        self._refine([self._best()])
         best = self._best()
         cost_of = self._problem.cost_of
         while len(best.effects) > 1:
@@ -392,6 +401,30 @@ class _Search:
                 break
             best = least
         self._refine_best()
+
+    def _try_other_shapes(self, hypothesis: Hypothesis) -> None:
+        """Fits a hypothesis again from all starts of its effects' shapes.
+
+        Between one filter and another of the same delay, as between other shapes, no small step
+        may lead to less.
+        """
+        variants = []
+        for candidate in self._memoryless:
+            shapes = [p for p in candidate.parameters if p.role == "shape" and len(p.starts) > 1]
+            places = [
+                place for effect, place in hypothesis.locations if effect == candidate.effect
+            ]
+            if not (shapes and places):
+                continue
+            for starts in product(*(shape.starts for shape in shapes)):
+                given = {
+                    Term(candidate.effect, place, shape.name): start
+                    for place in places
+                    for shape, start in zip(shapes, starts, strict=True)
+                }
+                variants.append(dict(hypothesis.values) | given)
+        for fitted in self._map(partial(refit, most_steps=MOST_STEPS), variants):
+            self._keep_better([fitted] if fitted is not None else [])
 
     def _refine_best(self) -> None:
         """The rivals of the best, and the best with one effect and with two."""
@@ -442,17 +475,23 @@ class _Search:
         Nuisance parameters alone leave little more than the floor, or a hypothesis little of the
         gap.
         """
-        floor = self._problem.floor
-        unexplained_rmse = self._none.held_out_rmse
-        if unexplained_rmse <= _RESOLVED_FLOOR_RATIO * floor and self._problem.has_usual_nuisance(
-            self._none
-        ):
-            return True
-        little = _RESOLVED_GAP_SHARE * noise_corrected_rms(unexplained_rmse**2, floor)
-        return any(
-            self._problem.cost_of(h) <= little or self._problem.is_explained(h)
-            for h in self._fitted_by_effects.values()
+        gap = noise_corrected_rms(self._none.held_out_rmse**2, self._problem.floor)
+        little = _RESOLVED_GAP_SHARE * gap
+        return self._is_explained() or any(
+            self._problem.cost_of(h) <= little for h in self._fitted_by_effects.values()
         )
+
+    def _is_explained(self) -> bool:
+        """Whether nuisance parameters alone, or a hypothesis, leave little more than the floor.
+
+        A large gap may be nearly resolved and still hide an effect of the past that is far above
+        the floor.
+        """
+        problem = self._problem
+        near = _RESOLVED_FLOOR_RATIO * problem.floor
+        if self._none.held_out_rmse <= near and problem.has_usual_nuisance(self._none):
+            return True
+        return any(problem.is_explained(h) for h in self._fitted_by_effects.values())
 
 
 def is_redundant(problem: Problem, hypothesis: Hypothesis, others: Iterable[Hypothesis]) -> bool:

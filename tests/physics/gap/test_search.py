@@ -10,6 +10,7 @@ import pytest
 from cablesense_gap.diagnosis.problem import Past, subsampled
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
+from cablesense_sim.effects.effect import Parameter
 from tests.helpers.gap_problem import (
     FLOOR,
     SIGNALS,
@@ -59,6 +60,16 @@ def test_a_history_dependent_effect_is_found_with_its_shape():
     assert best(searched(FADING_X)).values == pytest.approx(FADING_X, rel=0.15)
 
 
+def test_an_effect_of_the_past_far_above_the_floor_is_found_beside_a_much_larger_gap():
+    """What the gain leaves is two hundredths of the gap, and several floors."""
+    faint = {AMOUNT: 0.8, RATE: 4.0}
+    without_faint = best(searched({GAIN_A: 30.0})).held_out_rmse
+    best_fit = best(searched({GAIN_A: 30.0, **faint}))
+    assert best_fit.effects == ("fading", "gain")
+    assert best_fit.held_out_rmse < 1.1 * without_faint
+    assert {t: best_fit.values[t] for t in faint} == pytest.approx(faint, rel=0.15)
+
+
 def test_where_readings_return_effects_of_the_past_are_not_simulated():
     problem = problem_of(
         Sums(LIBRARY), SIGNALS[1] + np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
@@ -103,6 +114,26 @@ def test_processes_that_share_a_subsample_find_the_same():
     )
     assert one.values == two.values
     np.testing.assert_array_equal(one.held_out, two.held_out)
+
+
+KIND = Parameter("kind", "1", 0.0, 1.0, 0.5, "between two kinds", 0.0, "shape", (0.0, 1.0))
+
+
+def of_two_kinds(place, numbers):
+    """A small one of kind 1 looks like a large one of kind 0; between them are worse ones."""
+    amount = numbers["amount"]
+    kind = numbers["kind"]
+    of_kind_0 = 0.1 * amount**2 * SIGNALS[1] + amount * np.exp(-abs(amount)) * SIGNALS[2]
+    of_kind_1 = amount * (0.9 * SIGNALS[1] + 0.2 * SIGNALS[3])
+    between = np.sin(np.pi * kind) * amount * SIGNALS[4]
+    return (1.0 - kind) * of_kind_0 + kind * of_kind_1 + between
+
+
+def test_a_shape_is_found_that_no_small_step_from_its_imitation_leads_to():
+    library = {Candidate("kinds", ("a",), (size("amount"), KIND)): of_two_kinds}
+    truth = {Term("kinds", "a", "amount"): 10.0, Term("kinds", "a", "kind"): 0.0}
+    best_fit = best(searched(truth, library))
+    assert best_fit.values == pytest.approx(truth, abs=0.05)
 
 
 def test_a_second_effect_that_has_nothing_to_do_is_not_named():
