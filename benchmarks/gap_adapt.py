@@ -93,7 +93,7 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     case["judging_seconds"] = round(time.monotonic() - began, 1)
     began = time.monotonic()
     if adapted.adapted is not None:
-        case["unexplained_n"] = round(adapted.adapted.unexplained_n2**0.5, 3)
+        case["unexplained_n"] = round(adapted.adapted.unexplained_n, 3)
     attempt = exported(adapted, folder / "estimator.onnx", "cablesense gap adapt")
     if attempt.refusal:
         case["refused"] = attempt.refusal

@@ -3,7 +3,8 @@
 Some trials are withheld: the diagnosis does not have their readings, and the estimators before and
 after are judged on their loads. The new one is the law of the amended arm, with a calibration that
 starts from what the diagnosis found of the arm's uncertain parameters. What neither explains, as
-creep or play, counts as noise of its readings.
+creep or play, counts as noise of its readings: noise that has directions, those of the residuals
+that it left under the loads that the diagnosis has seen.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
@@ -45,14 +44,6 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law_export import export_law
 
-_MOST_TRIALS = 12
-"""Trials, evenly chosen, that show what the law does not explain."""
-_STATED = 0.95
-"""Share of the forces that intervals are to hold."""
-_PLAINLY_FEWER = 0.025
-"""Probability of so few within intervals that are right, below which they are too narrow."""
-_MOST_DOUBLINGS = 8
-"""Of a variance: intervals sixteen times as wide."""
 _ERROR_LEFT = 0.95
 """Share of the wrongly stated force that a better estimator leaves at most. A contact that is not
 named counts in full, so that none is better by saying less."""
@@ -69,12 +60,17 @@ class AdaptedEstimator:
     Attributes:
         law: in PyTorch.
         calibration: from the diagnosis.
-        unexplained_n2: variance of a reading by what the law does not know of the arm, N².
+        unexplained_n2: (M, M) covariance of readings by what the law does not know of the arm, N².
     """
 
     law: TorchLaw
     calibration: Calibration
-    unexplained_n2: float
+    unexplained_n2: Array
+
+    @property
+    def unexplained_n(self) -> float:
+        """Its root mean square over the readings."""
+        return float(np.sqrt(np.diag(self.unexplained_n2).mean()))
 
     def export(self, path: Path, command: str) -> None:
         """Write the law as a model file, with the `command` that makes it again.
@@ -215,56 +211,17 @@ def adapted_estimator(
     """The estimator of the amended arm; its noise is by the trials that the diagnosis has seen.
 
     The law is one of equilibrium, so that noise is what readings show that have settled: what a
-    lag adds while a load changes is none.
+    lag adds while a load changes is none. What a play or a joint's friction keeps from the cables
+    lasts from reading to reading and has the direction of the load: only a covariance says so.
     """
     calibration = diagnosed_calibration(found)
     tares = tares_of(recording)
     rows = np.asarray(tares.of_row >= 0) & ~np.isin(recording.trial, unseen)
-    trials = np.unique(recording.trial[rows])
-    chosen = np.linspace(0, len(trials) - 1, min(len(trials), _MOST_TRIALS)).astype(int)
-    rows &= np.isin(recording.trial, trials[chosen])
     rows = those_settled(recording, FeltArm(found.amended), rows)
     known = RecordedMachine(recording, tares, TorchLaw(found.amended), calibration)
-    measured_n2 = known.unexplained_n2(rows)
-    unexplained_n2 = _covering_n2(
-        found.amended, calibration, recording, trials[chosen], measured_n2
-    )
+    unexplained_n2 = known.unexplained_n2(rows)
     law = TorchLaw(found.amended, unexplained_n2)
     return AdaptedEstimator(law, calibration, unexplained_n2)
-
-
-def _covering_n2(
-    arm: Arm,
-    calibration: Calibration,
-    recording: Recording,
-    trials: NDArray[np.int64],
-    measured_n2: float,
-) -> float:
-    """The variance, N², with which 95 % intervals hold the forces of these trials.
-
-    What a play or a joint's friction keeps from the cables lasts from reading to reading and has
-    the direction of the load, so that it misleads more than noise of the same size: the measured
-    variance is doubled until the intervals hold. It stays as it is where that does not help.
-    """
-    numbers = trials.tolist()
-    variance_n2 = measured_n2
-    noise_n2 = float(FeltArm(arm).mean_variance(1).mean())
-    for _ in range(_MOST_DOUBLINGS):
-        errors = recorded_errors(recording, TorchLaw(arm, variance_n2), numbers, True, calibration)
-        if _intervals_hold(errors):
-            return variance_n2
-        variance_n2 = 2.0 * max(variance_n2, noise_n2)
-    return measured_n2
-
-
-def _intervals_hold(judged: RecordedErrors) -> bool:
-    """Whether not plainly fewer forces lie in their 95 % intervals; so where none is stated."""
-    errors = judged.whole.errors
-    if not errors.found:
-        return True
-    held = round(errors.magnitude_coverage95 * errors.found)
-    test = binomtest(held, errors.found, _STATED, alternative="less")
-    return bool(test.pvalue > _PLAINLY_FEWER)
 
 
 def diagnosed_calibration(found: Diagnosis) -> Calibration:

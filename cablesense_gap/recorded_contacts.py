@@ -448,17 +448,27 @@ class RecordedMachine:
                 )
         return ContactAnswer(segment, *forces.T), confirmed, poses
 
-    def unexplained_n2(self, rows: Rows) -> float:
-        """By how much the square of a residual exceeds what the law expects, N², mean over rows.
+    def unexplained_n2(self, rows: Rows) -> Array:
+        """Covariance (M, M), N², of what the law does not expect of readings under known loads.
 
-        The residual is that of readings under their known loads.
+        By how much the residuals r of n trials exceed what the law expects of them, S, and where:
+
+            C = mean(r r' - S)                            over rows
+            Σ = (n C₊ trace(C) / trace(C₊) + trace(C)/M · 1) / (n + 1)
+
+        C₊ is C without its negative variances. The last term is as if one trial more had left as
+        much in all directions alike: a few trials do not show that in some there is none. Rows of
+        which the law explains less than nothing do not count: it has lost the pose there, as among
+        slack cables it may, and will call such readings implausible.
         """
         recording = self._recording
+        of_row = self._tares.of_row
         loaded = recording.load_segment > 0
         segment = np.maximum(recording.load_segment, 1) - 1
         at_m = _places_m(recording, self._machine)
-        beyond_noise_n2 = 0.0
-        channels = 0
+        channels = recording.tensions_n.shape[1]
+        beyond_noise_n2 = np.zeros((channels, channels))
+        trials: list[int] = []
         for chosen, seen in self._seen(rows):
             chosen_segment = segment[chosen]
             row_index = np.arange(len(chosen))
@@ -469,11 +479,23 @@ class RecordedMachine:
             torque_n_m = np.einsum("bi,bij->bj", force_n, lever)
             expected_n = np.einsum("bmj,bj->bm", seen.by_torque, torque_n_m)
             residual_n = seen.innovation_n - expected_n
-            spread_n2 = np.linalg.inv(seen.information_n2)
-            beyond_noise_n2 += float((residual_n**2).sum())
-            beyond_noise_n2 -= float(np.trace(spread_n2, axis1=1, axis2=2).sum())
-            channels += residual_n.size
-        return max(beyond_noise_n2 / max(channels, 1), 0.0)
+            tared_n = np.array([self._tares.unloaded[k].reading_n for k in of_row[chosen]])
+            changed_n = recording.tensions_n[chosen] - tared_n
+            explains = _sizes(residual_n) <= _sizes(changed_n)
+            counts = explains | ~loaded[chosen]
+            expected_n2 = np.linalg.inv(seen.information_n2[counts]).sum(axis=0)
+            beyond_noise_n2 += residual_n[counts].T @ residual_n[counts] - expected_n2
+            trials += recording.trial[chosen[counts]].tolist()
+        beyond_noise_n2 /= max(len(trials), 1)
+        total_n2 = float(np.trace(beyond_noise_n2))
+        if total_n2 <= 0.0:
+            return np.zeros((channels, channels))
+        variances_n2, directions = np.linalg.eigh(beyond_noise_n2)
+        seen_n2 = np.maximum(variances_n2, 0.0)
+        directed_n2 = (directions * (total_n2 / seen_n2.sum() * seen_n2)) @ directions.T
+        alike_n2 = total_n2 / channels * np.eye(channels)
+        trial_count = len(set(trials))
+        return np.asarray((trial_count * directed_n2 + alike_n2) / (trial_count + 1))
 
     def _seen(self, rows: Rows) -> Iterator[tuple[NDArray[np.int64], LawOutput]]:
         """Some of the rows (R,) at a time, and what their readings say."""
@@ -533,6 +555,11 @@ def _force(seen: LawOutput) -> tuple[float, float, float, float]:
     across_n2 = max(z**2 * yy + y**2 * zz - 2.0 * y * z * yz, 0.0) / magnitude_n**2
     angle, angle_std = _turns(y, z, across_n2**0.5)
     return angle, magnitude_n, (high_n - low_n) / (2.0 * NORMAL_95), angle_std
+
+
+def _sizes(vectors: Array) -> Array:
+    """(R,) Euclidean norms of rows (R, M)."""
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _force_at(seen: LawOutput, at_m: float) -> tuple[float, float, float, float]:

@@ -42,12 +42,12 @@ _COMMANDED_DEG = 20.0
 """Largest joint angle that a model file states."""
 
 
-def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) -> None:
+def export_law(arm: Arm, path: Path, command: str, unexplained_n2: Array | None = None) -> None:
     """Write the estimator of an arm as a model file that answers as PyTorch does, checked.
 
-    `command` is what makes the file again, kept in it. `unexplained_n2` is the variance of
-    readings, N², by what the arm file does not know of the arm: with any, few contacts may be
-    vouched for.
+    `command` is what makes the file again, kept in it. `unexplained_n2` (M, M) is the
+    covariance of readings, N², by what the arm file does not know of the arm: with any, few
+    contacts may be vouched for.
 
     Raises:
         TrainingError: the law does not hold on the arm's own statics (`require_sound`), PyTorch
@@ -55,8 +55,8 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
         WeakArmError: the arm cannot stand, or bears no contact.
     """
     law = TorchLaw(arm, unexplained_n2)
-    if unexplained_n2 > 0.0:
-        left_n = unexplained_n2**0.5
+    if unexplained_n2 is not None and unexplained_n2.any():
+        left_n = float(np.sqrt(np.diag(unexplained_n2).mean()))
         remedy = f"readings at rest are off by {left_n:.3g} N (RMS): first find what else acts"
         require_sound(law, arm, 0.0, remedy)
     else:

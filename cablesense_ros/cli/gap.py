@@ -507,11 +507,10 @@ def adapt(
 
 def _noise(made: AdaptedEstimator) -> list[str]:
     """What the new estimator takes as noise, if it is much."""
-    unexplained_n = made.unexplained_n2**0.5
-    if unexplained_n < _SHOWN_N:
+    if made.unexplained_n < _SHOWN_N:
         return []
     return [
-        f"Readings differ by {unexplained_n:.2f} N (RMS) from what this arm explains, beyond "
+        f"Readings differ by {made.unexplained_n:.2f} N (RMS) from what this arm explains, beyond "
         "the sensors' noise: the estimator takes it as noise, so its intervals are wider."
     ]
 

@@ -67,11 +67,13 @@ class _SensedEstimator(nn.Module):
         return self.estimator(right_n, command_rad, mean + self.mean, covariance, unrest_n2_m2)
 
 
-def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _SensedEstimator:
+def arm_estimator(
+    arm: Arm, unexplained_n2: Array | None = None
+) -> ArmEstimator | _SensedEstimator:
     """The estimator of an arm: as drawn, with the effects that its file lists.
 
     Of effects without memory it knows all, of the others the friction of cables. `unexplained_n2`
-    is the variance of readings by what it does not know, N².
+    (M, M) is the covariance of readings by what it does not know, N².
     """
     nominal = mechanism_of(arm)
     estimator = ArmEstimator(
@@ -114,7 +116,7 @@ class TorchLaw:
 
     most_together = 1
 
-    def __init__(self, arm: Arm, unexplained_n2: float = 0.0) -> None:
+    def __init__(self, arm: Arm, unexplained_n2: Array | None = None) -> None:
         """Build it; see `arm_estimator`."""
         self.arm = arm
         self.estimator = arm_estimator(arm, unexplained_n2).double().eval()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor, nn
 
+from cablesense_base import Array
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_sim.touch import TouchedPlaces
@@ -58,7 +59,7 @@ class ArmEstimator(nn.Module):
         friction: where the cables rub.
         touched: where the segments can be touched.
         pose_steps: Gauss-Newton steps from the command to the pose.
-        unexplained_n2: variance of readings by what is not known of the arm, N².
+        unexplained_n2: (M, M) covariance of readings by what is not known of the arm, N².
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class ArmEstimator(nn.Module):
         friction: CableFriction,
         touched: TouchedPlaces,
         pose_steps: int = POSE_STEPS,
-        unexplained_n2: float = 0.0,
+        unexplained_n2: Array | None = None,
     ) -> None:
         super().__init__()
         self.measurement = MeasurementModel(

@@ -29,6 +29,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_base import Array
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_sim.uncertain_arm import CableFriction
@@ -143,8 +144,8 @@ class MeasurementModel(nn.Module):
         reading_variance_n2: of one reading: noise and step of the sensor, N².
         friction: where the cables rub.
         pose_steps: Gauss-Newton steps from the command to the pose.
-        unexplained_n2: variance of readings by what is not known of the arm, N². Which cables are
-            taut is seen by the sensors' own noise.
+        unexplained_n2: (M, M) covariance of readings by what is not known of the arm, N²; none by
+            default. Which cables are taut is seen by the sensors' own noise.
     """
 
     def __init__(
@@ -155,7 +156,7 @@ class MeasurementModel(nn.Module):
         reading_variance_n2: float,
         friction: CableFriction,
         pose_steps: int = POSE_STEPS,
-        unexplained_n2: float = 0.0,
+        unexplained_n2: Array | None = None,
     ) -> None:
         super().__init__()
         self.segment_count = mechanism.segment_count
@@ -177,8 +178,11 @@ class MeasurementModel(nn.Module):
         self.held_squares_m2 = constant(held.nominal_holes().numpy())
         straight = held.lengths(held.straight_terms, self.held_squares_m2)
         self.held_straight_m = constant(straight.numpy())
-        self.reading_variance_n2 = reading_variance_n2 + unexplained_n2
         self.cable_identity = constant(np.eye(mechanism.cable_count))
+        reading_covariance_n2 = reading_variance_n2 * np.eye(mechanism.cable_count)
+        if unexplained_n2 is not None:
+            reading_covariance_n2 += unexplained_n2
+        self.reading_covariance_n2 = constant(reading_covariance_n2)
 
     def forward(
         self,
@@ -195,7 +199,7 @@ class MeasurementModel(nn.Module):
         by_torque = self._by_torque(state, given)
         by_parameter = self.slopes(given, state, by_torque)
         spread = by_parameter @ covariance @ by_parameter.transpose(1, 2)
-        spread = spread + self.reading_variance_n2 * self.cable_identity
+        spread = spread + self.reading_covariance_n2
         spread = spread + by_torque @ unrest_n2_m2 @ by_torque.transpose(1, 2)
         information = inverse(spread)
         innovation = self._innovation(reading, state, given, by_torque)

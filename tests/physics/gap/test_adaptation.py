@@ -18,7 +18,7 @@ from cablesense_gap.adaptation import (
     withheld_trials,
 )
 from cablesense_gap.arm_system import Diagnosis
-from cablesense_gap.recorded_contacts import at_contact_points
+from cablesense_gap.recorded_contacts import RecordedMachine, at_contact_points
 from cablesense_gap.verdict import Share
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
@@ -133,7 +133,7 @@ def test_the_estimator_of_a_built_arm_is_repaired(diagnosed_as, seed: int):
     assert after.magnitude_coverage95 > 0.9
     assert after.direction_coverage95 > 0.9
     assert adaptation.after.confirmed > 0.9
-    assert adaptation.adapted.unexplained_n2 < 0.3**2
+    assert adaptation.adapted.unexplained_n < 0.3
     errors = adaptation.diagnosis.verdict.estimator
     assert errors.use == "after"
     assert errors.after["force_mae_n"] == after.magnitude_mae_n
@@ -144,7 +144,7 @@ def test_friction_that_is_diagnosed_is_explained(diagnosed_as):
     diagnosed_as(FRICTION)
     few = SHORT.rows(np.isin(SHORT.trial, [1, 2, 5, 6]))
     adaptation = adapt(recorded(having(LAB, FRICTION), few), LAB)
-    assert adaptation.adapted.unexplained_n2 < 0.1**2
+    assert adaptation.adapted.unexplained_n < 0.1
     assert adaptation.after.whole.errors.magnitude_coverage95 > 0.9
     assert adaptation.better
     friction = arm_parameters(adaptation.adapted.law.arm).slices["friction"]
@@ -157,7 +157,7 @@ def test_what_the_law_does_not_explain_widens_intervals(diagnosed_as):
     few = SHORT.rows(np.isin(SHORT.trial, [1, 2, 5, 6]))
     more = ListedEffect(effect="capstan_friction", parameters={"coefficient": 0.25})
     adaptation = adapt(recorded(having(LAB, more), few), LAB)
-    assert adaptation.adapted.unexplained_n2 > 0.05**2
+    assert adaptation.adapted.unexplained_n > 0.05
     assert adaptation.after.whole.errors.magnitude_coverage95 > 0.9
 
 
@@ -170,10 +170,14 @@ def test_intervals_hold_where_what_is_not_explained_has_the_direction_of_the_loa
     made = recorded(having(LAB, friction))
     adaptation = adapt(made, LAB)
     assert adaptation.after.whole.errors.magnitude_coverage95 >= 0.9
-    monkeypatch.setattr("cablesense_gap.adaptation._covering_n2", lambda *given: given[-1])
+    measured = RecordedMachine.unexplained_n2
+
+    def of_the_same_size_in_all_directions(known, rows):
+        return np.eye(12) * np.diag(measured(known, rows)).mean()
+
+    monkeypatch.setattr(RecordedMachine, "unexplained_n2", of_the_same_size_in_all_directions)
     by_size = adapt(made, LAB)
     assert by_size.after.whole.errors.magnitude_coverage95 < 0.85
-    assert by_size.adapted.unexplained_n2 < adaptation.adapted.unexplained_n2
 
 
 def test_what_the_file_lists_of_tolerances_counts_once(diagnosed_as):

@@ -54,7 +54,8 @@ def test_what_is_unexplained_adds_to_the_noise_of_readings():
     nothing = np.zeros((len(parameters), len(parameters)))
     given = settled_n(NOMINAL), COMMANDS, np.zeros(len(parameters)), nothing, np.zeros((8, 8))
     variance_n2 = reading_variance_n2(NOMINAL.sensors)
-    for unexplained_n2 in (0.0, 0.25):
+    of_one_direction = 0.25 * np.outer(np.arange(12.0), np.arange(12.0))
+    for unexplained_n2 in (np.zeros((12, 12)), of_one_direction):
         information_n2 = TorchLaw(NOMINAL, unexplained_n2)(*given).information_n2
-        expected = np.eye(12) / (variance_n2 + unexplained_n2)
-        assert_allclose(information_n2, np.stack([expected, expected]))
+        expected = np.linalg.inv(variance_n2 * np.eye(12) + unexplained_n2)
+        assert_allclose(information_n2, np.stack([expected, expected]), rtol=1e-5, atol=1e-6)

@@ -94,7 +94,7 @@ def test_an_arm_whose_cables_go_slack_is_refused_and_leaves_no_file(tmp_path):
 def test_where_readings_stay_unexplained_that_is_said_and_no_other_arm_is_asked_for(tmp_path):
     arm = variant({}, "cdsm_lab")
     with pytest.raises(TrainingError, match=r"off by 1e\+03 N \(RMS\): first find") as refusal:
-        export_law(arm, tmp_path / "unexplained.onnx", "cablesense gap adapt", 1e6)
+        export_law(arm, tmp_path / "unexplained.onnx", "cablesense gap adapt", 1e6 * np.eye(12))
     assert "pretension" not in str(refusal.value)
 
 
