@@ -447,15 +447,16 @@ from sensor_msgs.msg import JointState
 from cablesense_msgs_py.qos import PUBLISHER_QOS, SENSOR_QOS
 from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_ros import node_process
-from cablesense_ros.endpoints import qos_profile, subscribe_to_one
+from cablesense_ros.endpoints import qos_profile, subscribe_to_those_waiting
 
 class Overloaded(Node):
     def __init__(self):
         super().__init__("overloaded")
         self.samples = self.create_publisher(JointState, "samples", qos_profile(PUBLISHER_QOS))
-        subscribe_to_one(
+        self.together = []
+        subscribe_to_those_waiting(
             self, JointState, "samples", SENSOR_QOS, FollowedPublisher(),
-            lambda raw: time.sleep(0.005), lambda problem: None,
+            self.take, lambda problem: None, 8,
         )
         self.began_s = time.monotonic()
         self.create_timer(0.1, self.tell)
@@ -466,9 +467,13 @@ class Overloaded(Node):
             self.samples.publish(JointState())
             time.sleep(0.001)
 
+    def take(self, raws):
+        self.together.append(len(raws))
+        time.sleep(0.005 * len(raws))
+
     def tell(self):
         if time.monotonic() > self.began_s + 5.0:
-            print("a timer has its turn", flush=True)
+            print("a timer has its turn,", max(self.together), "came together", flush=True)
 
 node_process._STUCK_AFTER_S = 2
 raise SystemExit(node_process.run_node(Overloaded))
@@ -479,7 +484,7 @@ def test_a_node_whose_samples_come_too_fast_goes_on_with_all_else_and_ends():
     command = [sys.executable, "-c", OVERLOADED]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
-            assert process.stdout.readline() == b"a timer has its turn\n"
+            assert process.stdout.readline() == b"a timer has its turn, 8 came together\n"
             process.send_signal(signal.SIGINT)
             assert process.wait(timeout=20.0) == 0
         finally:
