@@ -39,10 +39,15 @@ class AskedTogether(NamedTuple):
     ) -> LawOutput | None:
         """What the law says of a reading (M,); None where it was asked something else."""
         same = (
-            np.array_equal(pose_rad, self.pose_rad)
-            and np.array_equal(belief.mean, self.belief.mean)
-            and np.array_equal(belief.covariance, self.belief.covariance)
-            and np.array_equal(torques_n2_m2, self.torques_n2_m2)
+            _equal(pose_rad, self.pose_rad)
+            and _equal(belief.mean, self.belief.mean)
+            and _equal(belief.covariance, self.belief.covariance)
+            and _equal(torques_n2_m2, self.torques_n2_m2)
         )
         rows = np.flatnonzero((self.reading_n == reading_n).all(axis=1))
         return self.seen.row(int(rows[0])) if same and len(rows) else None
+
+
+def _equal(one: Array, other: Array) -> bool:
+    """Whether arrays have the same numbers; that of one with itself is the usual case."""
+    return one is other or np.array_equal(one, other)

@@ -30,13 +30,11 @@ class RecentTorques:
 
     Attributes:
         stamps_ns: (K,) of the samples.
-        torques_n_m: (K, 2) along two axes across the arm.
-        halves_n_m: (K,) halves of their 99.9 % intervals.
+        torques_n_m: (K, 3) along two axes across the arm, and half of their 99.9 % interval.
     """
 
     stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    torques_n_m: Array = field(default_factory=lambda: np.empty((0, 2)))
-    halves_n_m: Array = field(default_factory=lambda: np.empty(0))
+    torques_n_m: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def with_torque(
@@ -50,17 +48,17 @@ def with_torque(
     """
     angle = math.radians(estimate.angle_deg)
     size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
-    torque_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
+    y_n_m = size_n_m * math.sin(angle)
+    z_n_m = size_n_m * math.cos(angle)
     half_n_m = _HALF_STD * estimate.magnitude_std_n * max(lever_m, _SHORTEST_LEVER_M)
     passed_ns = stamp_ns - before.stamps_ns
     is_recent = (passed_ns >= 0) & (passed_ns <= _HALF_SWING_NS)
     torques_n_m = before.torques_n_m[is_recent]
-    halves_n_m = before.halves_n_m[is_recent]
-    apart_n_m = np.hypot(*(torques_n_m - torque_n_m).T)
-    has_changed = bool((apart_n_m > halves_n_m + half_n_m).any())
+    earlier_y_n_m, earlier_z_n_m, earlier_half_n_m = torques_n_m.T
+    apart_n_m = np.hypot(earlier_y_n_m - y_n_m, earlier_z_n_m - z_n_m)
+    has_changed = bool((apart_n_m > earlier_half_n_m + half_n_m).any())
     recent = RecentTorques(
         np.concatenate([before.stamps_ns[is_recent], [stamp_ns]]),
-        np.concatenate([torques_n_m, torque_n_m[None]]),
-        np.concatenate([halves_n_m, [half_n_m]]),
+        np.concatenate([torques_n_m, [[y_n_m, z_n_m, half_n_m]]]),
     )
     return recent, has_changed
