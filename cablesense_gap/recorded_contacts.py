@@ -48,7 +48,7 @@ _SETTLED_ABOVE = 0.01
 _SETTLED_S = 0.2
 """Time in which they change; rows may be that far apart, or much closer."""
 _FEWEST_SETTLED = 20
-"""Loaded rows; with fewer, all rows count."""
+"""Loaded rows; with fewer, those that change least count, too."""
 _SAME_TIME_S = 1e-6
 """Times that differ by less are the same."""
 _LEAST_N = 1e-9
@@ -175,25 +175,40 @@ def settled(recording: Recording, machine: FeltMachine) -> Rows:
     Of the others, sensors that lag still show an earlier load. The first ones of a trial have not
     settled.
     """
+    channels = recording.tensions_n.shape[1]
+    by_noise = [
+        probability_above(float(row), channels) for row in _change_chi2(recording, machine)
+    ]
+    return np.asarray(np.array(by_noise) > _SETTLED_ABOVE)
+
+
+def _change_chi2(recording: Recording, machine: FeltMachine) -> Array:
+    """(R,) χ² of how readings have changed since 0.2 s before, by noise; infinite at first."""
     time_s = recording.time_s
     before = np.searchsorted(time_s, time_s - _SETTLED_S + _SAME_TIME_S, side="right") - 1
     earlier = np.maximum(before, 0)
     change_n = recording.tensions_n - recording.tensions_n[earlier]
     variance_n2 = 2.0 * machine.mean_variance(1)
     chi2 = (change_n**2 / variance_n2).sum(axis=1)
-    channels = change_n.shape[1]
-    by_noise = np.array([probability_above(float(row), channels) for row in chi2])
     of_same_trial = (before >= 0) & (recording.trial[earlier] == recording.trial)
-    return np.asarray(of_same_trial & (by_noise > _SETTLED_ABOVE))
+    return np.where(of_same_trial, chi2, np.inf)
 
 
 def those_settled(recording: Recording, machine: FeltMachine, rows: Rows) -> Rows:
-    """(R,) of some rows those whose readings have settled; all, if few loaded ones have."""
+    """(R,) of some rows those whose readings have settled.
+
+    Where of few loaded ones they have, as noisy sensors or long lags make it, those that change
+    least take their place; all rows, where there is none but the first of its trial.
+    """
     settled_rows = rows & settled(recording, machine)
-    is_loaded = recording.load_segment > 0
-    if (settled_rows & is_loaded).sum() < _FEWEST_SETTLED:
+    loaded_rows = rows & (recording.load_segment > 0)
+    if (settled_rows & loaded_rows).sum() >= _FEWEST_SETTLED:
+        return settled_rows
+    chi2 = _change_chi2(recording, machine)
+    least = np.sort(chi2[loaded_rows & np.isfinite(chi2)])[:_FEWEST_SETTLED]
+    if not least.size:
         return rows
-    return settled_rows
+    return settled_rows | (rows & (chi2 <= least[-1]))
 
 
 def at_contact_points(recording: Recording, arm: Arm) -> Rows:
@@ -451,24 +466,44 @@ class RecordedMachine:
     def unexplained_n2(self, rows: Rows) -> Array:
         """Covariance (M, M), N², of what the law does not expect of readings under known loads.
 
-        By how much the residuals r of n trials exceed what the law expects of them, S, and where:
+        By how much the residuals r exceed what the law expects of them, S, and where, in n trials:
 
-            C = mean(r r' - S)                            over rows
+            C = mean over trials of mean over rows of (r r' - S)
             Σ = (n C₊ trace(C) / trace(C₊) + trace(C)/M · 1) / (n + 1)
 
-        C₊ is C without its negative variances. The last term is as if one trial more had left as
-        much in all directions alike: a few trials do not show that in some there is none. Rows of
-        which the law explains less than nothing do not count: it has lost the pose there, as among
-        slack cables it may, and will call such readings implausible.
+        What is not noise lasts while a load does, so that a trial tells as much as one of its
+        rows. C₊ is C without its negative variances. The last term is as if one trial more had
+        left as much in all directions alike: a few trials do not show that in some there is none.
+        """
+        channels = self._recording.tensions_n.shape[1]
+        by_trial: dict[int, list[Array]] = {}
+        for chosen, residual_n, expected_n2 in self._residuals(rows):
+            beyond_n2 = residual_n[:, :, None] * residual_n[:, None, :] - expected_n2
+            for row, of_row_n2 in zip(chosen, beyond_n2, strict=True):
+                by_trial.setdefault(int(self._recording.trial[row]), []).append(of_row_n2)
+        if not by_trial:
+            return np.zeros((channels, channels))
+        beyond_noise_n2 = np.mean([np.mean(each, axis=0) for each in by_trial.values()], axis=0)
+        total_n2 = float(np.trace(beyond_noise_n2))
+        if total_n2 <= 0.0:
+            return np.zeros((channels, channels))
+        variances_n2, directions = np.linalg.eigh(beyond_noise_n2)
+        seen_n2 = np.maximum(variances_n2, 0.0)
+        directed_n2 = (directions * (total_n2 / seen_n2.sum() * seen_n2)) @ directions.T
+        alike_n2 = total_n2 / channels * np.eye(channels)
+        return np.asarray((len(by_trial) * directed_n2 + alike_n2) / (len(by_trial) + 1))
+
+    def _residuals(self, rows: Rows) -> Iterator[tuple[NDArray[np.int64], Array, Array]]:
+        """Some rows (R,) at a time, residuals (R, M) and what is expected of them (R, M, M), N².
+
+        Rows of which the law explains less than nothing are left out: it has lost the pose there,
+        as among slack cables it may, and will call such readings implausible.
         """
         recording = self._recording
         of_row = self._tares.of_row
         loaded = recording.load_segment > 0
         segment = np.maximum(recording.load_segment, 1) - 1
         at_m = _places_m(recording, self._machine)
-        channels = recording.tensions_n.shape[1]
-        beyond_noise_n2 = np.zeros((channels, channels))
-        trials: list[int] = []
         for chosen, seen in self._seen(rows):
             chosen_segment = segment[chosen]
             row_index = np.arange(len(chosen))
@@ -480,22 +515,10 @@ class RecordedMachine:
             expected_n = np.einsum("bmj,bj->bm", seen.by_torque, torque_n_m)
             residual_n = seen.innovation_n - expected_n
             tared_n = np.array([self._tares.unloaded[k].reading_n for k in of_row[chosen]])
-            changed_n = recording.tensions_n[chosen] - tared_n
-            explains = _sizes(residual_n) <= _sizes(changed_n)
+            explains = _sizes(residual_n) <= _sizes(recording.tensions_n[chosen] - tared_n)
             counts = explains | ~loaded[chosen]
-            expected_n2 = np.linalg.inv(seen.information_n2[counts]).sum(axis=0)
-            beyond_noise_n2 += residual_n[counts].T @ residual_n[counts] - expected_n2
-            trials += recording.trial[chosen[counts]].tolist()
-        beyond_noise_n2 /= max(len(trials), 1)
-        total_n2 = float(np.trace(beyond_noise_n2))
-        if total_n2 <= 0.0:
-            return np.zeros((channels, channels))
-        variances_n2, directions = np.linalg.eigh(beyond_noise_n2)
-        seen_n2 = np.maximum(variances_n2, 0.0)
-        directed_n2 = (directions * (total_n2 / seen_n2.sum() * seen_n2)) @ directions.T
-        alike_n2 = total_n2 / channels * np.eye(channels)
-        trial_count = len(set(trials))
-        return np.asarray((trial_count * directed_n2 + alike_n2) / (trial_count + 1))
+            expected_n2 = np.asarray(np.linalg.inv(seen.information_n2[counts]))
+            yield chosen[counts], residual_n[counts], expected_n2
 
     def _seen(self, rows: Rows) -> Iterator[tuple[NDArray[np.int64], LawOutput]]:
         """Some of the rows (R,) at a time, and what their readings say."""

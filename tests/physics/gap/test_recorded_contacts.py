@@ -18,6 +18,7 @@ from cablesense_gap.recorded_contacts import (
     settled,
     tares_n,
     tares_of,
+    those_settled,
     unloaded_poses,
     with_acting_loads,
 )
@@ -109,6 +110,20 @@ def test_readings_have_settled_where_they_change_by_noise_alone() -> None:
     settling = settled(replace(still, tensions_n=still.tensions_n + lagging_n), machine)
     assert not settling[:12].any()  # 0.6 N a row
     assert (settling == at_rest)[30:].all()  # 2 mN
+
+
+def test_where_few_readings_settle_the_loaded_ones_that_change_least_take_their_place() -> None:
+    """Each row changes by one and a half newtons more than the one before."""
+    made = read_from(small_recording())
+    rows = np.arange(float(len(made)))
+    faster_n = 50.0 + (0.75 * rows * (rows + 1.0))[:, None] * np.ones(made.tensions_n.shape[1])
+    never_still = replace(made, tensions_n=faster_n)
+    chosen = those_settled(never_still, FeltArm(LAB), np.ones(len(made), dtype=bool))
+    loaded = made.load_segment > 0
+    not_first = np.diff(made.trial, prepend=-1) == 0
+    first_20 = np.flatnonzero(loaded & not_first)[:20]
+    np.testing.assert_array_equal(np.flatnonzero(chosen & loaded), first_20)
+    assert not chosen[first_20[-1] + 1 :].any()
 
 
 def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
