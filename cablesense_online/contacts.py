@@ -162,8 +162,11 @@ class LawContacts:
             return ()
         torques_n2_m2 = self._torques_of(situation.unrest)
         commands_rad = np.tile(situation.pose_rad, (len(reading_n), 1))
+        questions = [False]  # as if untouched so far; else also as if touched on its way
+        if not self.unloaded.seen_untouched(state):
+            questions.append(True)
         asked = []
-        for touched in (False,) if self.unloaded.seen_untouched(state) else (False, True):
+        for touched in questions:
             _, belief = self._belief(state, reading_n[0], situation, touched=touched)
             seen = self._law(
                 reading_n, commands_rad, belief.mean, belief.covariance, torques_n2_m2

@@ -204,8 +204,9 @@ def test_the_lags_that_a_search_begins_with_are_much_alike_any_other(tau: float)
     alike = []
     for start in time_constant.starts:
         change = changed_by(start)
-        left = true - change * (change @ true) / (change @ change)
-        alike.append(1.0 - (left @ left) / (true @ true))
+        scale = (change @ true) / (change @ change)
+        residual_n = true - scale * change
+        alike.append(1.0 - (residual_n @ residual_n) / (true @ true))
     assert max(alike) >= 0.75
 
 
